@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
-from tissueid.measured.exponentials import (
+from tissueid.measured.relaxation import (
     TAU_ABOVE_LENGTH,
     TAU_BELOW_STEP,
     ExponentialSums,
     curve_of,
     kernel_basis,
+    relaxation_rows,
 )
-from tissueid.measured.relaxation import relaxation_rows
 from tissueid.trial import Contact, Phase, Protocol, Segmentation, Trial
 
 JIT_OFF = os.environ.get("NUMBA_DISABLE_JIT") == "1"

@@ -2,20 +2,308 @@
 
 For every hold, ``F = c + sum_j A_j exp(-t / tau_j)`` with one, two and three exponentials, a free plateau c
 and A_j >= 0, from the stop of the tool to the end of the hold: while a crosshead brakes it still loads.
+
+Exponentials of a window are mixtures of those of a basis, so that the samples are summed once and every
+relaxation time is then tried on a small matrix.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations
 
 import numpy as np
+from scipy.linalg import qr
+from scipy.linalg.blas import dtrsm
 
 from tissueid.arrays import FloatArray
 from tissueid.documents.identification import Relaxation
 from tissueid.flags import Flag
-from tissueid.measured.exponentials import ExponentialSums, curve_of
 from tissueid.measured.pushes import peak_of, usable_until
 from tissueid.trial import Segmentation, Trial, contact_frame
+
+# A basis is a few relaxation times whose kernels span those of every other,
+#     exp(-t/tau) = sum_k c_k(tau) exp(-t/tau_k)          on 0 <= t <= T, at steps of h.
+# The nodes tau_k are the pivots of a rank-revealing QR factorisation of the kernels on a fine grid, the
+# weights a triangular solve: 58 nodes give states to 1e-10 relative for h = 1 ms and T = 48 s; Chebyshev
+# nodes in log tau need about 110 for that.
+#: Relaxation times are sought between h / TAU_BELOW_STEP and TAU_ABOVE_LENGTH * T.
+TAU_BELOW_STEP = 5.0
+TAU_ABOVE_LENGTH = 10.0
+#: Pivots below this fraction of the first are dropped; the states' relative error follows it.
+TOLERANCE = 1e-10
+TIMES = 360
+CANDIDATES = 240
+#: Step and length are rounded outwards to this step in their logarithm, so that bases are reused.
+QUANTUM = 0.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KernelBasis:
+    """Nodes and weights for recordings of one step and length."""
+
+    tau_s: FloatArray  # (n,), nodes, ascending [s]
+    log_bounds: tuple[float, float]  # range of ln(tau / s) in which weights are given
+    time_s: FloatArray
+    weight: FloatArray
+    step_s: float
+    q: FloatArray
+    r: FloatArray
+
+    def mean_over_step(self, tau_s: FloatArray) -> FloatArray:
+        """Mean of exp(-t / tau) over the step that the kernels are averaged over."""
+        ratio = self.step_s / np.asarray(tau_s)
+        return np.asarray(-np.expm1(-ratio) / ratio)
+
+    def weights(self, log_tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Weights c and their derivative by ln(tau)."""
+        columns = [_weights(self, float(value)) for value in log_tau]
+        return np.column_stack([c for c, _ in columns]), np.column_stack([dc for _, dc in columns])
+
+
+@lru_cache(maxsize=8192)
+def _weights(basis: KernelBasis, log_tau: float) -> tuple[FloatArray, FloatArray]:
+    """Weights of one ln(tau); kept, because a scan comes back to the same points for every model."""
+    value, slope = _kernel(np.array([log_tau]), basis.time_s, basis.step_s)
+    right = np.concatenate([value, slope], axis=1) * basis.weight[:, None]
+    # LAPACK's triangular solve wakes every thread for two columns, which a busy machine pays in ms
+    solved = dtrsm(1.0, basis.r, basis.q.T @ right)
+    solved /= _norm(np.log(basis.tau_s), float(basis.time_s[-1]))[:, None]
+    return solved[:, 0], solved[:, 1]
+
+
+def _kernel(log_tau: FloatArray, time_s: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:
+    """Kernel averaged over one step, and its derivative by ln(tau); shape (times, m)."""
+    tau = np.exp(log_tau)
+    ratio = step_s / tau
+    mean = -np.expm1(-ratio) / ratio
+    decay = np.exp(-time_s[:, None] / tau)
+    value = mean * decay
+    slope = value * (time_s[:, None] / tau) + decay * (mean - np.exp(-ratio))
+    return value, slope
+
+
+def _norm(log_tau: FloatArray, length_s: float) -> FloatArray:
+    """Root of the kernel's energy, which makes errors relative to the state of the same tau."""
+    return np.sqrt(np.minimum(np.exp(log_tau), length_s))
+
+
+@lru_cache(maxsize=64)
+def _build(step_key: int, length_key: int) -> KernelBasis:
+    step = math.exp(step_key * QUANTUM)
+    length = math.exp(length_key * QUANTUM)
+    low, high = math.log(step / TAU_BELOW_STEP), math.log(length * TAU_ABOVE_LENGTH)
+    half = step / 2.0
+    time = np.concatenate([[0.0], np.geomspace(half / 4.0, length, TIMES)])
+    weight = np.sqrt(np.gradient(time))
+    candidates = np.linspace(low, high, CANDIDATES)
+    columns = _kernel(candidates, time, half)[0] * weight[:, None] / _norm(candidates, length)
+    _, r, pivots = qr(columns, mode="economic", pivoting=True, check_finite=False)
+    diagonal = np.abs(np.diag(r))
+    rank = int((diagonal > TOLERANCE * diagonal[0]).sum())
+    nodes = np.sort(candidates[pivots[:rank]])
+    chosen = _kernel(nodes, time, half)[0] * weight[:, None] / _norm(nodes, length)
+    q, r = np.linalg.qr(chosen)
+    return KernelBasis(
+        tau_s=np.exp(nodes), log_bounds=(low, high), time_s=time, weight=weight, step_s=half, q=q, r=r
+    )
+
+
+def kernel_basis(*, step_s: float, length_s: float) -> KernelBasis:
+    """The basis for a finest step and a longest duration; raises ValueError unless 0 < step < length."""
+    if not 0.0 < step_s < length_s < math.inf:
+        msg = f"a basis needs 0 < step < length, got step {step_s} s and length {length_s} s"
+        raise ValueError(msg)
+    return _build(math.floor(math.log(step_s) / QUANTUM), math.ceil(math.log(length_s) / QUANTUM))
+
+
+#: Spacing of the scan in ln tau, for one exponential and for several.
+SCAN_SINGLE, SCAN_SEVERAL = 0.25, 0.6
+#: Minima of a scan that are polished.
+POLISHED = 3
+#: Exponentials closer than this in ln tau describe one relaxation.
+MIN_SEPARATION = 0.3
+#: Gauss-Newton steps, the longest in ln tau, its halvings, and the step that ends them.
+STEPS, LONGEST_STEP, HALVINGS, FINISHED = 60, 0.7, 6, 1e-10
+#: Ridge over the trace that keeps equal exponentials apart from a division by zero.
+RIDGE = 1e-14
+#: A relaxing force below this fraction of the range is rounding, not relaxation.
+MIN_AMPLITUDE = 1e-9
+#: Rows summed at once: memory stays small however long the hold.
+BLOCK = 1 << 15
+
+
+def _amplitudes(gram: FloatArray, product: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Non-negative least squares of a few columns, at many points: every set of columns is tried."""
+    points, m = product.shape
+    best, gained = np.zeros((points, m)), np.zeros(points)
+    for size in range(1, m + 1):
+        for chosen in combinations(range(m), size):
+            at = np.array(chosen)
+            inner = gram[:, at[:, None], at]
+            trace = np.trace(inner, axis1=1, axis2=2)
+            inner = inner + (RIDGE * trace + 1e-300)[:, None, None] * np.eye(size)
+            right = product[:, at]
+            found = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
+            gain = (found * right).sum(axis=1)
+            better = (found >= 0.0).all(axis=1) & (gain > gained)
+            gained[better] = gain[better]
+            row = np.zeros((int(better.sum()), m))
+            row[:, at] = found[better]
+            best[better] = row
+    return best, gained
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExponentialSums:
+    """Sums of a window's samples over all exponentials."""
+
+    basis: KernelBasis
+    bounds: tuple[float, float]  # range of ln tau
+    count: int
+    total: FloatArray  # (k,), sums of the basis' columns and the force
+    gram: FloatArray  # (k, k), sums of their products
+
+    @classmethod
+    def of(cls, time_s: FloatArray, force_N: FloatArray, basis: KernelBasis | None = None) -> ExponentialSums:
+        """Sums of a window; times grow from 0."""
+        steps = np.diff(time_s)
+        step, length = float(np.median(steps[steps > 0.0])), float(time_s[-1])
+        basis = basis or kernel_basis(step_s=step, length_s=length)
+        size = basis.tau_s.size + 1
+        total, gram = np.zeros(size), np.zeros((size, size))
+        mean = basis.mean_over_step(basis.tau_s)
+        offset = float(force_N.mean())
+        for first in range(0, time_s.size, BLOCK):
+            block = slice(first, first + BLOCK)
+            # the basis interpolates kernels averaged over half a step, which differ by a factor in tau
+            columns = np.exp(-time_s[block, None] / basis.tau_s) * mean
+            columns = np.column_stack([columns, force_N[block] - offset])
+            total += columns.sum(axis=0)
+            gram += columns.T @ columns
+        bounds = (float(np.log(step / TAU_BELOW_STEP)), float(np.log(length * TAU_ABOVE_LENGTH)))
+        return cls(basis, bounds, time_s.size, total, gram)
+
+    def ladder(self, branches: int) -> list[FloatArray]:
+        """Relaxation times of fits with 1, 2, ... exponentials, ascending; fewer where data support fewer."""
+        centred = _Centred(self.basis, self.gram - np.outer(self.total, self.total) / self.count)
+        low = max(self.bounds[0], self.basis.log_bounds[0])
+        high = min(self.bounds[1], self.basis.log_bounds[1])
+        found: list[FloatArray] = []
+        best = np.zeros(0)
+        for number in range(1, branches + 1):
+            starts = centred.starts(number, best)
+            polished = [centred.polished(start, (low, high)) for start in starts]
+            best = np.sort(min(polished, key=centred.left_over))
+            found.append(np.exp(centred.used(best)))
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Centred:
+    """Sums with the plateau taken out."""
+
+    basis: KernelBasis
+    gram: FloatArray
+
+    def left_over(self, log_tau: FloatArray) -> float:
+        """Sum of squares that exponentials leave, up to a constant."""
+        return -float(self._gains([log_tau])[0])
+
+    def _gains(self, points: Sequence[FloatArray]) -> FloatArray:
+        weights = np.stack([self.basis.weights(point)[0] for point in points])
+        inner = self.gram[:-1, :-1]
+        gram = weights.transpose(0, 2, 1) @ (inner @ weights)
+        return _amplitudes(gram, self.gram[:-1, -1] @ weights)[1]
+
+    def _amplitudes(self, log_tau: FloatArray) -> FloatArray:
+        weights = self.basis.weights(log_tau)[0]
+        inner = weights.T @ self.gram[:-1, :-1] @ weights
+        return np.asarray(_amplitudes(inner[None], (weights.T @ self.gram[:-1, -1])[None])[0][0])
+
+    def used(self, log_tau: FloatArray) -> FloatArray:
+        """Those with an amplitude."""
+        weights = self._amplitudes(log_tau)
+        scale = float(np.sqrt(max(self.gram[-1, -1], 0.0)))
+        return np.asarray(log_tau[weights > MIN_AMPLITUDE * max(scale, 1e-300)])
+
+    def starts(self, number: int, before: FloatArray) -> list[FloatArray]:
+        """Best points of a scan."""
+        low, high = self.basis.log_bounds
+        spacing = SCAN_SINGLE if number == 1 else SCAN_SEVERAL
+        grid = np.linspace(low, high, max(int(np.ceil((high - low) / spacing)), 4) + 1)
+        points = list(_points(number, grid, before))
+        if not points:
+            return [np.linspace(low, high, number + 2)[1:-1]]
+        gains = self._gains(points)
+        apart = SCAN_SINGLE if number == 1 else 2.0 * SCAN_SEVERAL
+        chosen: list[FloatArray] = []
+        for i in np.argsort(-gains, kind="stable"):
+            if all(np.abs(points[i] - other).max() > apart for other in chosen):
+                chosen.append(points[i])
+            if len(chosen) == POLISHED:
+                break
+        return chosen
+
+    def polished(self, log_tau: FloatArray, bounds: tuple[float, float]) -> FloatArray:
+        """The local minimum that a start leads to, amplitudes following."""
+        log_tau = np.clip(log_tau, *bounds)
+        value = self.left_over(log_tau)
+        for _ in range(STEPS):
+            step = self._step(log_tau)
+            for _halving in range(HALVINGS):
+                trial = np.clip(log_tau + step, *bounds)
+                reached = self.left_over(trial)
+                if reached < value:
+                    break
+                step = 0.5 * step
+            else:
+                break
+            done = float(np.abs(trial - log_tau).max()) < FINISHED
+            log_tau, value = trial, reached
+            if done:
+                break
+        return log_tau
+
+    def _step(self, log_tau: FloatArray) -> FloatArray:
+        """Gauss-Newton step of the relaxation times and amplitudes together."""
+        weights, slopes = self.basis.weights(log_tau)
+        amplitude = self._amplitudes(log_tau)
+        on = amplitude > 0.0
+        step = np.zeros(log_tau.size)
+        if not on.any():
+            return step
+        frame = np.column_stack([weights[:, on], slopes[:, on] * amplitude[on]])
+        left = self.gram[:-1, -1] - self.gram[:-1, :-1] @ (weights @ amplitude)
+        normal = frame.T @ self.gram[:-1, :-1] @ frame
+        size = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        solved = np.linalg.lstsq(normal * size[:, None] * size, (frame.T @ left) * size, rcond=1e-14)[0]
+        step[on] = np.clip((solved * size)[int(on.sum()) :], -LONGEST_STEP, LONGEST_STEP)
+        return step
+
+
+def _points(number: int, grid: FloatArray, before: FloatArray) -> Iterator[FloatArray]:
+    """Points of a scan: the grid, its pairs, or the best so far and one more."""
+    if number == 1:
+        yield from (grid[i : i + 1] for i in range(grid.size))
+    elif number == 2:
+        yield from (np.array(pair) for pair in combinations(grid, 2))
+    else:
+        yield from (
+            np.sort(np.append(before, extra))
+            for extra in grid
+            if np.abs(before - extra).min(initial=np.inf) > MIN_SEPARATION
+        )
+
+
+def curve_of(time_s: FloatArray, force_N: FloatArray, tau_s: FloatArray) -> FloatArray:
+    """The least-squares curve with these relaxation times, shape (n,)."""
+    design = np.column_stack([np.ones(time_s.size), *(np.exp(-time_s / value) for value in tau_s)])
+    return np.asarray(design @ np.linalg.lstsq(design, force_N, rcond=None)[0])
+
 
 MIN_SAMPLES = 8
 MAX_EXPONENTIALS = 3

@@ -65,7 +65,7 @@ def _told(flag: Flag) -> str:
 
 
 def _softer(push: MeasuredPush | None, before: Sequence[MeasuredPush]) -> str:
-    """True where a push is softer than the last equal one by more than they spread."""
+    """Sentence where a push is softer than the last equal one by more than they spread; else empty."""
     if push is None:
         return ""
     equal = [one for one in before if _equal(push, one)]
@@ -101,7 +101,7 @@ def _too_slow(trial: Trial, push: MeasuredPush) -> Iterator[str]:
 
 
 def _too_short(trial: Trial, hold: MeasuredHold) -> Iterator[str]:
-    """True where the hold, or its samples, are too few for the relaxation that it shows."""
+    """Sentences where the hold, or its samples, are too few for the relaxation that it shows."""
     tau = None if hold.tau is None else hold.tau.single_s
     if tau is None:
         return
