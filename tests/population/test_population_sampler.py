@@ -10,8 +10,8 @@ import pytest
 from cohort_factory import lkj_factor, monte_carlo_errors, normal_stage, plain_design
 from scipy.special import gammaln
 
+from tissueid.population.chains import Scales, ScalesDensity, ScalesMove
 from tissueid.population.sampler import SamplerOptions, sample_population
-from tissueid.population.scales import Scales, ScalesDensity, ScalesMove
 from tissueid.population.stage_one import StageOne
 from tissueid.priors import PopulationPriors, SpreadPrior
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.diagnostics import Diagnostics, diagnose
-from tissueid.population.chains import Chains, Hyper, State, squares
-from tissueid.population.scales import Scales, transposed
+from tissueid.population.chains import Chains, Hyper, Scales, State, squares, transposed
 from tissueid.population.stage_one import (
     PILOT_NU,
     PILOT_WIDER,
