@@ -10,24 +10,24 @@ from msgspec import structs
 
 from tissueid.documents.reproduction import Item
 from tissueid.errors import UsageError
-from tissueid.reproduce import published, relaxation
+from tissueid.reproduce import published, recordings
 from tissueid.reproduce.controller import table_3
 from tissueid.reproduce.hip import guidance_forces
 from tissueid.reproduce.published import (
+    OVERLAPS,
     PUBLISHED,
     READINGS,
     SADEGHNEJAD,
+    WITHIN_INTERVAL,
     Kind,
     Ledger,
     Published,
     Readings,
     near,
-    overlaps,
     readings_from,
     rounded,
-    within_interval,
 )
-from tissueid.reproduce.recordings import Effort, identified_table
+from tissueid.reproduce.recordings import Effort, identified_table, relaxation_tests
 from tissueid.reproduce.speeds import force_displacement, peak_against_speed
 
 QUICK = Effort(draws=0)
@@ -69,11 +69,11 @@ def test_what_stands_behind_a_row_follows_from_what_its_ledger_handed_out():
     [
         (near(0.5, "N"), 86.64, 87.1, None, True),
         (near(0.5, "N"), 86.64, 87.2, None, False),
-        (within_interval(), 0.0214, 0.0218, (0.0209, 0.0222), True),
-        (within_interval(), 0.0214, 0.0218, (0.0215, 0.0222), False),
-        (within_interval(), 0.0214, 0.0214, None, False),
-        (overlaps(), (4.23, 10.95), (10.0, 20.0), None, True),
-        (overlaps(), (4.23, 10.95), (11.0, 20.0), None, False),
+        (WITHIN_INTERVAL, 0.0214, 0.0218, (0.0209, 0.0222), True),
+        (WITHIN_INTERVAL, 0.0214, 0.0218, (0.0215, 0.0222), False),
+        (WITHIN_INTERVAL, 0.0214, 0.0214, None, False),
+        (OVERLAPS, (4.23, 10.95), (10.0, 20.0), None, True),
+        (OVERLAPS, (4.23, 10.95), (11.0, 20.0), None, False),
         (rounded(3), 0.021, 0.021025, None, True),
         (rounded(3), 0.021, 0.0216, None, False),
     ],
@@ -94,9 +94,9 @@ def rows(numbers: Mapping[str, Published]) -> dict[str, Item]:
     readings = Readings()
     with pytest.MonkeyPatch.context() as patch:
         # one test of Table 1 stands for all four
-        patch.setattr(relaxation, "DEPTHS_MM", (8,))
+        patch.setattr(recordings, "DEPTHS_MM", (8,))
         patch.setattr(published, "PUBLISHED", numbers)
-        found = relaxation.relaxation_tests(readings, QUICK)[0]
+        found = relaxation_tests(readings, QUICK)[0]
         found += force_displacement(readings)[0] + peak_against_speed(readings)[0]
         found += identified_table(readings, replace(QUICK, rate_Hz=100.0))
         found += table_3(readings) + guidance_forces(readings)[0]
@@ -133,13 +133,13 @@ def test_a_row_that_follows_its_printed_number_is_labelled_a_round_trip(key, unc
 
 
 def test_only_the_mean_of_table_1_is_reproduced_without_being_put_in():
-    mean = relaxation.relaxation_tests(Readings(relaxation="rate"), QUICK)[0][-2]
+    mean = relaxation_tests(Readings(relaxation="rate"), QUICK)[0][-2]
     assert (mean.item, mean.kind, mean.agrees) == ("table-2/mean-of-table-1", Kind.REPRODUCED, True)
     assert mean.recomputed == pytest.approx((0.0214 + 0.0212 + 0.0206 + 0.0209) / 4)
 
 
 def test_readings_that_contradict_the_table_are_said_to():
-    found, figure = relaxation.relaxation_tests(Readings(relaxation="rate"), QUICK)
+    found, figure = relaxation_tests(Readings(relaxation="rate"), QUICK)
     table = [row for row in found if row.where == "Table 1"]
     assert [row.kind for row in table] == [Kind.NOT_REPRODUCIBLE] * 8
     assert {row.agrees for row in table} == {None}

@@ -13,8 +13,7 @@ from tissueid.reproduce.controller import controlled_contact, table_3
 from tissueid.reproduce.document import reproduction
 from tissueid.reproduce.hip import guidance_forces, restitutions
 from tissueid.reproduce.published import SADEGHNEJAD, Kind, Ledger, Readings
-from tissueid.reproduce.recordings import Effort, identified_table
-from tissueid.reproduce.relaxation import hold_exponential, settling_force
+from tissueid.reproduce.recordings import Effort, hold_exponential, identified_table, settling_force
 from tissueid.reproduce.speeds import (
     Tissue,
     cubic_through_peaks,

@@ -20,7 +20,7 @@ from tissueid.rendering.control.simulation import ControlRun, simulate
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.reproduce.published import SADEGHNEJAD, Kind, Ledger, Readings, Said
 from tissueid.reproduce.recordings import Effort
-from tissueid.reproduce.speeds import SPEEDS_MM_MIN, Tissue, cubic_through_peaks, read_branch
+from tissueid.reproduce.speeds import SPEEDS_MM_MIN, tissue_through_peaks
 
 VARIANTS = ("A", "B")
 TASKS = ("sustained", "free-contact")
@@ -89,8 +89,7 @@ def controlled_contact(readings: Readings, effort: Effort) -> tuple[list[Item], 
 
 def _settings(ledger: Ledger, readings: Readings) -> ControlSettings:
     """The loop of Table 3 beside the tissue of Table 2."""
-    branch = read_branch(ledger, readings)
-    tissue = Tissue(cubic_through_peaks(ledger, branch), branch)
+    tissue = tissue_through_peaks(ledger, readings)
     ledger.read(readings.words("device"))
     row = [ledger.printed(f"table-3/{place}") for place in range(1, 7)]
     if readings.device == "mass-stiffness-damping":
@@ -158,19 +157,14 @@ def _figures(drawn: Mapping[str, ControlRun]) -> list[Figure]:
         ("a-error", "error of the position", "Error [mm]", error),
         ("b", "velocity", "Velocity [mm/s]", velocity),
     )
+    caption = "The hand's push, the gains and the virtual tool are assumed; the paper prints none."
     return [
-        Figure(
+        Ledger(SADEGHNEJAD, "Fig. 7").figure(
             f"figure-7{part}",
-            SADEGHNEJAD,
-            "Fig. 7",
-            f"Free and in contact: {words}",
             Kind.ASSUMED,
-            "The hand's push, the gains and the virtual tool are assumed; the paper prints none.",
-            "Time [s]",
-            title,
-            x_log=False,
-            drawing=None,
-            traces=tuple(traces),
+            (f"Free and in contact: {words}", caption),
+            ("Time [s]", title),
+            traces,
         )
         for part, words, title, traces in parts
     ]

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
-from typing import Any, Literal
+from typing import Any
 
 from tissueid import __version__
 from tissueid.documents import plain
 from tissueid.documents.reproduction import Figure, Item
 from tissueid.reproduce.controller import controlled_contact, table_3
 from tissueid.reproduce.hip import guidance_forces, restitutions
-from tissueid.reproduce.published import PIRES, SADEGHNEJAD, Kind, Readings
-from tissueid.reproduce.recordings import Effort, identified_table, specimen_scatter
-from tissueid.reproduce.relaxation import relaxation_tests
+from tissueid.reproduce.published import PIRES, SADEGHNEJAD, Drawing, Kind, Ledger, Readings
+from tissueid.reproduce.recordings import Effort, identified_table, relaxation_tests, specimen_scatter
 from tissueid.reproduce.speeds import force_displacement, peak_against_speed
 
 PAPERS = (SADEGHNEJAD, PIRES)
@@ -88,17 +87,6 @@ def _hip(readings: Readings, effort: Effort) -> Iterator[_Part]:
     yield guidance_forces(readings)
 
 
-def _drawn(key: str, where: str, title: str, drawing: Literal["schematic", "block-diagram"]) -> Figure:
-    return Figure(
-        key,
-        SADEGHNEJAD,
-        where,
-        title,
-        Kind.RECOMPUTED,
-        "Drawn from the paper's words; nothing is computed.",
-        x_title="",
-        y_title="",
-        x_log=False,
-        drawing=drawing,
-        traces=(),
-    )
+def _drawn(key: str, where: str, title: str, drawing: Drawing) -> Figure:
+    words = (title, "Drawn from the paper's words; nothing is computed.")
+    return Ledger(SADEGHNEJAD, where).figure(key, Kind.RECOMPUTED, words, ("", ""), (), drawing=drawing)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal, cast
 
 import numpy as np
@@ -76,7 +76,10 @@ def guidance_forces(readings: Readings) -> tuple[list[Item], Figure]:
         Guidance(entry_m=(0.0, 0.0, 0.0), funnel=Funnel(kind=kind), bone=Bone(radius_m=0.0)),
     )
     error = np.linspace(0.0, MOST_ERROR_MM, SWEEP)
-    swept = {height: _sweep(plan, height, error) for height in HEIGHTS_MM}
+    swept = {
+        height: _pushed(plan, [(1e-3 * one, 0.0, 1e-3 * height) for one in error], SLOW_STEP_S)
+        for height in HEIGHTS_MM
+    }
     traces = []
     for name, column in (("impedance", 0), ("surface", 1)):
         for height in HEIGHTS_MM:
@@ -89,20 +92,12 @@ def guidance_forces(readings: Readings) -> tuple[list[Item], Figure]:
     )
     at_axis = max(float(pushed[0, 0]) for pushed in swept.values())
     items = [*_guidance_claims(ledger, at_axis, slopes, inside), _time_constant()]
-    figure = Figure(
-        "paper-b-figure-4",
-        PIRES,
-        "Fig. 4",
+    words = (
         "Impedance and surface force against radial error",
-        Kind.ASSUMED,
         f"Shape only, stiffness and surface are not printed. {readings.words('surface').capitalize()}.",
-        "Radial error [mm]",
-        "Force [N]",
-        x_log=False,
-        drawing=None,
-        traces=tuple(traces),
     )
-    return items, figure
+    axes = ("Radial error [mm]", "Force [N]")
+    return items, ledger.figure("paper-b-figure-4", Kind.ASSUMED, words, axes, traces)
 
 
 def _guidance_claims(ledger: Ledger, at_axis: float, slopes: list[float], inside: float) -> list[Item]:
@@ -123,14 +118,13 @@ def _guidance_claims(ledger: Ledger, at_axis: float, slopes: list[float], inside
     ]
 
 
-def _sweep(plan: Guidance, height_mm: float, error_mm: FloatArray) -> FloatArray:
-    """Forces of pull and wall at radial errors of one height, moved slowly, shape (errors, 2) [N]."""
+def _pushed(plan: Guidance, positions_m: Sequence[tuple[float, float, float]], step_s: float) -> FloatArray:
+    """Forces of pull and wall at positions that follow each other, shape (positions, 2) [N]."""
     block, memory = plan.numbers(), np.zeros(gd.GUIDANCE_MEMORY)
     force, said = np.zeros(3), np.zeros(gd.SAID_SIZE)
-    found = np.empty((error_mm.size, 2))
-    for k, error in enumerate(error_mm):
-        position = np.array([1e-3 * error, 0.0, 1e-3 * height_mm])
-        gd.guidance_step(block, 0, memory, position, SLOW_STEP_S, force, said, 0)
+    found = np.empty((len(positions_m), 2))
+    for k, position in enumerate(positions_m):
+        gd.guidance_step(block, 0, memory, np.array(position), step_s, force, said, 0)
         found[k] = said[gd.SAID_PULL_N], said[gd.SAID_WALL_N]
     return found
 
@@ -154,13 +148,7 @@ def _time_constant() -> Item:
         pull=Pull(tau_s=ledger.printed("guidance/tau"), filter_s=0.0),
         bone=Bone(radius_m=0.0),
     )
-    block, memory = plan.numbers(), np.zeros(gd.GUIDANCE_MEMORY)
-    force, said = np.zeros(3), np.zeros(gd.SAID_SIZE)
     # off by two millimetres within the surface, and out at 10 mm/s
-    gd.guidance_step(block, 0, memory, np.array([2e-3, 0.0, 0.02]), 1e-3, force, said, 0)
-    at_rest = said[gd.SAID_PULL_N]
-    gd.guidance_step(block, 0, memory, np.array([2.01e-3, 0.0, 0.02]), 1e-3, force, said, 0)
+    at_rest, moving = _pushed(plan, [(2e-3, 0.0, 0.02), (2.01e-3, 0.0, 0.02)], 1e-3)[:, 0]
     stiffness = at_rest / 2e-3
-    return ledger.item(
-        "guidance/tau", float((said[gd.SAID_PULL_N] / stiffness - 2.01e-3) / 0.01), judge=near(1e-6, "s")
-    )
+    return ledger.item("guidance/tau", float((moving / stiffness - 2.01e-3) / 0.01), judge=near(1e-6, "s"))

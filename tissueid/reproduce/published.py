@@ -9,16 +9,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import Final, TypeVar
+from typing import Final, Literal, TypeVar
 
 from msgspec import structs
 
 from tissueid.documents import reproduction as documents
-from tissueid.documents.reproduction import Item, PaperName
+from tissueid.documents.reproduction import Figure, Item, PaperName, Trace
 from tissueid.errors import UsageError, printable
 
 Value = float | tuple[float, float]
 Interval = tuple[float, float] | None
+Drawing = Literal["schematic", "block-diagram"]
 
 
 class Kind:
@@ -48,39 +49,29 @@ class Judgement:
 
 def near(tolerance: float, unit: str) -> Judgement:
     """Within a tolerance."""
-
-    def holds(published: Value, recomputed: Value, _interval: Interval) -> bool:
-        return abs(_single(published) - _single(recomputed)) <= tolerance
-
-    return Judgement(f"within {tolerance:g} {unit}".rstrip(), holds)
-
-
-def within_interval() -> Judgement:
-    """The published number lies in the interval of the recomputed one."""
-
-    def holds(published: Value, _recomputed: Value, interval: Interval) -> bool:
-        return interval is not None and interval[0] <= _single(published) <= interval[1]
-
-    return Judgement("the published number lies inside the 99 % interval", holds)
-
-
-def overlaps() -> Judgement:
-    """Two ranges share something: they are consistent, which is no proof."""
-
-    def holds(published: Value, recomputed: Value, _interval: Interval) -> bool:
-        (low, high), (least, most) = _pair(published), _pair(recomputed)
-        return low <= most and least <= high
-
-    return Judgement("the ranges overlap (consistent with, no more)", holds)
+    return Judgement(
+        f"within {tolerance:g} {unit}".rstrip(),
+        lambda published, recomputed, _: abs(_single(published) - _single(recomputed)) <= tolerance,
+    )
 
 
 def rounded(digits: int) -> Judgement:
     """Equal once rounded as it is printed."""
+    return Judgement(
+        f"equal when rounded to {digits} decimals",
+        lambda published, recomputed, _: (
+            round(_single(recomputed), digits) == round(_single(published), digits)
+        ),
+    )
 
-    def holds(published: Value, recomputed: Value, _interval: Interval) -> bool:
-        return round(_single(recomputed), digits) == round(_single(published), digits)
 
-    return Judgement(f"equal when rounded to {digits} decimals", holds)
+def _within(published: Value, _recomputed: Value, interval: Interval) -> bool:
+    return interval is not None and interval[0] <= _single(published) <= interval[1]
+
+
+def _overlap(published: Value, recomputed: Value, _interval: Interval) -> bool:
+    (low, high), (least, most) = _pair(published), _pair(recomputed)
+    return low <= most and least <= high
 
 
 def _single(value: Value) -> float:
@@ -92,6 +83,11 @@ def _single(value: Value) -> float:
 
 def _pair(value: Value) -> tuple[float, float]:
     return value if isinstance(value, tuple) else (value, value)
+
+
+WITHIN_INTERVAL = Judgement("the published number lies inside the 99 % interval", _within)
+#: Two ranges share something: they are consistent, which is no proof.
+OVERLAPS = Judgement("the ranges overlap (consistent with, no more)", _overlap)
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,6 +242,16 @@ class Ledger:
         """A sentence of the paper without a number, and whether what is computed bears it out."""
         row = self.item(key, value, said=said, note=note)
         return structs.replace(row, agrees=holds(value), rule=rule)
+
+    def figure(
+        self, key: str, kind: documents.Kind, words: tuple[str, str], axes: tuple[str, str],
+        traces: Sequence[Trace], *, drawing: Drawing | None = None,
+    ) -> Figure:  # fmt: skip
+        """A figure of the paper, drawn again: its title and caption, its axes and what is in it."""
+        title, caption = words
+        return Figure(
+            key, self.paper, self.where, title, kind, caption, *axes, tuple(traces), drawing, x_log=False
+        )
 
 
 #: Reading -> choice -> what it takes the paper to say; the first choice is the default.

@@ -76,6 +76,12 @@ def cubic_through_peaks(ledger: Ledger, branch: Branch) -> tuple[float, ...]:
     return tuple(float(a) for a in np.linalg.lstsq(columns, rest, rcond=None)[0])
 
 
+def tissue_through_peaks(ledger: Ledger, readings: Readings) -> Tissue:
+    """The branch of Table 2 beside the cubic through Table 1."""
+    branch = read_branch(ledger, readings)
+    return Tissue(cubic_through_peaks(ledger, branch), branch)
+
+
 #: A static curve whose tangent exceeds its secant, in place of the lost coefficients [N/mm3].
 HARDENING = (0.0, 0.0, 0.43)
 #: Depth at which a tissue that is indented infinitely slowly ruptures [mm].
@@ -87,8 +93,7 @@ DRAWN = 161
 def force_displacement(readings: Readings) -> tuple[list[Item], Figure]:
     """Fig. 3: six speeds to 8 mm, and whether force grows with speed."""
     ledger = Ledger(SADEGHNEJAD, "Fig. 3")
-    branch = read_branch(ledger, readings)
-    tissue = Tissue(cubic_through_peaks(ledger, branch), branch)
+    tissue = tissue_through_peaks(ledger, readings)
     depth = np.linspace(0.0, float(DEPTHS_MM[-1]), DRAWN)
     curves = np.array([tissue.force(depth, speed) for speed in SPEEDS_MM_MIN])
     items = [
@@ -113,28 +118,16 @@ def force_displacement(readings: Readings) -> tuple[list[Item], Figure]:
             "greater than zero everywhere",
         )
     )
-    traces = tuple(
+    traces = [
         Trace(f"{speed:.0f} mm/min", points(depth), points(curve), "line", None)
         for speed, curve in zip(SPEEDS_MM_MIN, curves, strict=True)
-    )
+    ]
     caption = (
         "A cubic through the peaks of Table 1, less what the branch carries (residuals up to 8 N: the peaks "
         "come from different specimens or places), and the branch of Table 2, by equation (7)."
     )
-    figure = Figure(
-        "figure-3",
-        SADEGHNEJAD,
-        "Fig. 3",
-        "Force against displacement, six speeds",
-        Kind.RECOMPUTED,
-        caption,
-        "Displacement [mm]",
-        "Force [N]",
-        x_log=False,
-        drawing=None,
-        traces=traces,
-    )
-    return items, figure
+    words, axes = ("Force against displacement, six speeds", caption), ("Displacement [mm]", "Force [N]")
+    return items, ledger.figure("figure-3", Kind.RECOMPUTED, words, axes, traces)
 
 
 def rupture_force(tissue: Tissue, speed_mm_min: float, criterion: str, slow_depth_mm: float) -> float:
@@ -159,12 +152,12 @@ def peak_against_speed(readings: Readings) -> tuple[list[Item], Figure]:
     """Fig. 4 under the chosen criterion, for two static curves, and the sentence that (7) predicts a fall."""
     items: list[Item] = []
     traces: list[Trace] = []
-    for name, words in (("hardening", "0.43 x^3"), ("table-1", "cubic through Table 1")):
+    for name, curve in (("hardening", "0.43 x^3"), ("table-1", "cubic through Table 1")):
         ledger = Ledger(SADEGHNEJAD, "Fig. 4")
         branch = read_branch(ledger, readings)
         ledger.read(readings.words("criterion"))
         static = (
-            ledger.assume(f"static curve {words} N", HARDENING)
+            ledger.assume(f"static curve {curve} N", HARDENING)
             if name == "hardening"
             else cubic_through_peaks(ledger, branch)
         )
@@ -179,14 +172,14 @@ def peak_against_speed(readings: Readings) -> tuple[list[Item], Figure]:
                 ledger.item(
                     f"figure-4/{name}-{speed:.0f}",
                     peak,
-                    said=Said(f"Peak force at {speed:.0f} mm/min, {words}", "N"),
+                    said=Said(f"Peak force at {speed:.0f} mm/min, {curve}", "N"),
                     note="the paper prints no numbers on the axes of this figure",
                 )
             )
         items.append(
             ledger.claim(
                 f"figure-4/{name}-falls",
-                Said(f"Peak force falls with speed, {words}: from 10 to 500 mm/min it changes by", "N"),
+                Said(f"Peak force falls with speed, {curve}: from 10 to 500 mm/min it changes by", "N"),
                 peaks[-1] - peaks[0],
                 lambda change: change < 0.0,
                 "less than zero",
@@ -194,31 +187,21 @@ def peak_against_speed(readings: Readings) -> tuple[list[Item], Figure]:
                 "where it is above 1",
             )
         )
-        traces.append(Trace(words, SPEEDS_MM_MIN, points(peaks), "line", None))
+        traces.append(Trace(curve, SPEEDS_MM_MIN, points(peaks), "line", None))
     items.append(_by_seven(readings))
-    figure = Figure(
-        "figure-4",
-        SADEGHNEJAD,
-        "Fig. 4",
-        "Peak force against speed",
-        Kind.ASSUMED,
+    caption = (
         f"Reading: {readings.words('criterion')}. Under constant work the static curve decides: the peak "
         "falls where the tangent stiffness exceeds the secant at rupture (x F_s'/F > 1). Constant work "
-        "contradicts the model's own source, by which the absorbed energy falls with speed.",
-        "Speed [mm/min]",
-        "Peak force [N]",
-        x_log=False,
-        drawing=None,
-        traces=tuple(traces),
+        "contradicts the model's own source, by which the absorbed energy falls with speed."
     )
-    return items, figure
+    words, axes = ("Peak force against speed", caption), ("Speed [mm/min]", "Peak force [N]")
+    return items, Ledger(SADEGHNEJAD, "Fig. 4").figure("figure-4", Kind.ASSUMED, words, axes, traces)
 
 
 def _by_seven(readings: Readings) -> Item:
     """Peak at a fixed depth by (7) alone."""
     ledger = Ledger(SADEGHNEJAD, "Fig. 4")
-    branch = read_branch(ledger, readings)
-    tissue = Tissue(cubic_through_peaks(ledger, branch), branch)
+    tissue = tissue_through_peaks(ledger, readings)
     slow, fast = (tissue.force(np.array([RUPTURE_DEPTH_MM]), SPEEDS_MM_MIN[k])[0] for k in (0, -1))
     return ledger.claim(
         "figure-4/by-equation-7",
