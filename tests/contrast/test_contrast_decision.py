@@ -126,8 +126,7 @@ def check_of_one_tissue() -> TissueCheck:
     protocol = of_program(LOGS, rate_Hz=100.0, contact_sd_mm=0.01, words="five logs")
     model = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=protocol.depth_mm)
     theta = np.array([20.0, -1.2, 0.35, 63.62, 0.021])
-    centre = Centre(model=model, theta=theta, sigma_N=1.0, phi=0.0, white_share=0.0, pooling="partial")
-    return tissue_check(protocol, centre, widths=Widths(gain_sd=0.005))
+    return tissue_check(protocol, Centre(model, theta, sigma_N=1.0), widths=Widths(gain_sd=0.005))
 
 
 def recorded_twice(check: TissueCheck, scale: float, seed: int) -> bool:

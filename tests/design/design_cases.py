@@ -79,14 +79,7 @@ class Case:
         )
         speeds = [test.speed_mm_s for test in self.protocol]
         recorded = Recorded(words=self.name, logs=logs, speeds_mm_s=(min(speeds), max(speeds)))
-        centre = Centre(
-            model=self.tissues.model,
-            theta=self.tissues.theta[0],
-            sigma_N=self.setting.noise_N,
-            phi=self.setting.phi,
-            white_share=0.0,
-            pooling="partial",
-        )
+        centre = Centre(self.tissues.model, self.tissues.theta[0], self.setting.noise_N, self.setting.phi)
         stated = Priors(calibration=self.instrument())
         check = tissue_check(recorded, centre, stated=stated, widths=WEAK, defects=self.asked.total)
         # a plan knows contact points to the machine's standard deviation

@@ -59,14 +59,7 @@ class Case:
     def check(self) -> TissueCheck:
         protocol = of_program(LOGS, rate_Hz=100.0, contact_sd_mm=CONTACT_SD_MM, words="seven logs")
         model = kelvin_voigt(branches=self.branches, stiffness_degree=self.degree, depth_mm=protocol.depth_mm)
-        centre = Centre(
-            model=model,
-            theta=np.array(self.theta),
-            sigma_N=1.0,
-            phi=self.phi,
-            white_share=0.0,
-            pooling="partial",
-        )
+        centre = Centre(model, np.array(self.theta), sigma_N=1.0, phi=self.phi)
         widths = Widths(gain_sd=self.gain_sd, arctanh_phi=0.3)
         check = tissue_check(protocol, centre, widths=widths, defects=self.defects)
         check = replace(check, contact_stated=self.phi > 0.0)

@@ -33,7 +33,7 @@ THETA = np.array([20.0, 1.2, 0.35, 60.0, 10.0, 0.2])
 def check_of(*, pooling: str = "partial", **options: Any) -> TissueCheck:
     logs = (Log("ramp", (Move(4.0, 240.0),)), Log("hold", (Move(4.0, 480.0), Hold(1.0))))
     protocol = of_program(logs, rate_Hz=50.0, contact_sd_mm=0.0, words="two logs")
-    centre = Centre(MODEL, THETA, sigma_N=0.5, phi=0.0, white_share=0.0, pooling=pooling)
+    centre = Centre(MODEL, THETA, sigma_N=0.5, pooling=pooling)
     return tissue_check(protocol, centre, **options)
 
 

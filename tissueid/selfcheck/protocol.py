@@ -55,9 +55,9 @@ class Centre:
     model: ChannelModel
     theta: FloatArray  # (p,)
     sigma_N: float
-    phi: float  # correlation of the noise over one reference step; 0 is white
-    white_share: float  # share of the noise's variance that is white beside a correlated part
-    pooling: str  # ``scaled``, ``partial`` or ``shared``
+    phi: float = 0.0  # correlation of the noise over one reference step; 0 is white
+    white_share: float = 0.0  # share of the noise's variance that is white beside a correlated part
+    pooling: str = "partial"  # ``scaled``, ``partial`` or ``shared``
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,9 +209,7 @@ def of_bundle(bundle: Bundle, *, where: str) -> tuple[Protocol, Centre]:
         ),
     )
     pooling = pooled(bundle.model.static_pooling, logs=len(protocol.logs))
-    return protocol, Centre(
-        model, np.asarray(bundle.theta), bundle.sigma_N, phi=0.0, white_share=0.0, pooling=pooling
-    )
+    return protocol, Centre(model, np.asarray(bundle.theta), bundle.sigma_N, pooling=pooling)
 
 
 #: A bundle's contact points were refined by its fit: depths may differ by a little.
