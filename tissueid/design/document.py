@@ -185,17 +185,15 @@ test_sheet.__test__ = False  # type: ignore[attr-defined]
 def study_text(best: Judged, machine: Machine, asked: Asked, *, title: str) -> str:
     """A study file with the channels and protocols that are planned, to be completed with the recordings."""
     setting = best.setting
-    calibration: dict[str, Any] = {
+    frame = machine.frame_stiffness_N_per_mm
+    calibration = {
         "load_cell_capacity_N": machine.max_force_N,
         "sampling_Hz": setting.rate_Hz,
         "force_filter_s": setting.filter_s,
+        "force_filter_s_sd": setting.filter_sd_s,
+        "frame_stiffness_N_per_mm": frame,
+        "frame_stiffness_N_per_mm_sd": None if frame is None else machine.frame_stiffness_N_per_mm_sd,
     }
-    if setting.filter_sd_s is not None:
-        calibration["force_filter_s_sd"] = setting.filter_sd_s
-    if machine.frame_stiffness_N_per_mm is not None:
-        calibration["frame_stiffness_N_per_mm"] = machine.frame_stiffness_N_per_mm
-        if machine.frame_stiffness_N_per_mm_sd is not None:
-            calibration["frame_stiffness_N_per_mm_sd"] = machine.frame_stiffness_N_per_mm_sd
     lines = [
         "# Study file of tissueid, planned by `tissueid design`: record test-sheet.csv, keep the recordings",
         "# beside this file, and add a table [[trial]] for each, as at the end. Correct what was otherwise.",
@@ -206,7 +204,7 @@ def study_text(best: Judged, machine: Machine, asked: Asked, *, title: str) -> s
         f"machine = {_quoted(machine.name)}",
         "",
         "[calibration]",
-        *(f"{key} = {value:.10g}" for key, value in calibration.items()),
+        *(f"{key} = {value:.10g}" for key, value in calibration.items() if value is not None),
         "",
     ]
     for test, count in best.protocol.items():

@@ -31,27 +31,22 @@ FEWEST_PAIRS = 3
 FEWEST_FREE = 3
 
 
-def _same(one: float, other: float) -> bool:
-    return abs(one - other) <= SAME_SHARE * max(abs(one), abs(other), 1e-300)
+def _alike(one: TrialRow, other: TrialRow) -> bool:
+    """True of logs of one site, speed and depth."""
+    pairs = ((one.speed_mm_s, other.speed_mm_s), (one.depth_mm, other.depth_mm))
+    near = all(abs(a - b) <= SAME_SHARE * max(abs(a), abs(b), 1e-300) for a, b in pairs)
+    return near and one.site == other.site
 
 
 def _repeats(member: Member) -> list[list[TrialRow]]:
     """Sets of logs of one speed, depth and site, in the order of testing."""
     sets: list[list[TrialRow]] = []
     for trial in member.trials:
-        if not trial.gain > 0.0:
-            continue
-        for known in sets:
-            first = known[0]
-            if (
-                first.site == trial.site
-                and _same(first.speed_mm_s, trial.speed_mm_s)
-                and _same(first.depth_mm, trial.depth_mm)
-            ):
-                known.append(trial)
-                break
-        else:
-            sets.append([trial])
+        if trial.gain > 0.0:
+            like = next((known for known in sets if _alike(known[0], trial)), [])
+            if not like:
+                sets.append(like)
+            like.append(trial)
     for known in sets:
         if all(trial.run is not None for trial in known):
             known.sort(key=lambda trial: trial.run or 0)

@@ -322,14 +322,11 @@ def predictive_specimens(
             theta = np.where(finite[:, None], theta, 0.0)
             good = np.asarray(coordinates.passive(theta) & finite)
         tried += len(theta)
-        used = (
-            int(np.searchsorted(np.cumsum(good), count - found)) + 1
-            if good.sum() > count - found
-            else len(good)
-        )
-        kept.append(theta[:used][good[:used]])
-        found += len(kept[-1])
-        refused += int((~good[:used]).sum())
+        rows = np.flatnonzero(good)[: count - found]
+        used = int(rows[-1]) + 1 if good.sum() > rows.size else len(good)
+        kept.append(theta[rows])
+        found += rows.size
+        refused += used - rows.size
     theta = np.concatenate(kept) if kept else np.empty((0, coordinates.size))
     middle = np.median(draws.mean, axis=0)
     typical = coordinates.to_theta(middle)

@@ -351,10 +351,9 @@ def identified_table(readings: Readings, effort: Effort) -> list[Item]:
 def _viscosity(ledger: Ledger, fit: SpecimenFit) -> Item:
     """K tau, which the ramps know far better than its factors."""
     interval = None
-    names = {} if fit.posterior is None else {n: k for k, n in enumerate(fit.posterior.theta_names)}
-    if fit.posterior is not None and "stiffness_1_N_per_mm2" not in names:
-        draws = total_draws(fit.posterior)
-        interval = _central_99(draws[:, names["stiffness_0_N_per_mm"]] * draws[:, names["relaxation_time_s"]])
+    if fit.posterior is not None and "stiffness_1_N_per_mm2" not in fit.posterior.theta_names:
+        draws = dict(zip(fit.posterior.theta_names, total_draws(fit.posterior).T, strict=True))
+        interval = _central_99(draws["stiffness_0_N_per_mm"] * draws["relaxation_time_s"])
     return ledger.item(
         "table-2/viscosity",
         fit.parameter("viscosity_N_s_per_mm").value,

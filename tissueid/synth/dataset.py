@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -140,15 +139,7 @@ def _truth(recipe: Recipe, logs: list[SyntheticLog], *, seed: int, dialect: str,
             for log in logs
         ],
     }
-    return (json.dumps(_rounded(document), indent=1, allow_nan=False) + "\n").encode()
-
-
-def _rounded(value: Any) -> Any:
-    """The document with every float cut to :data:`TRUTH_DIGITS` digits."""
-    if isinstance(value, float):
-        return float(f"{value:.{TRUTH_DIGITS}g}")
-    if isinstance(value, dict):
-        return {key: _rounded(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_rounded(item) for item in value]
-    return value
+    rounded = json.loads(
+        json.dumps(document), parse_float=lambda text: float(f"{float(text):.{TRUTH_DIGITS}g}")
+    )
+    return (json.dumps(rounded, indent=1, allow_nan=False) + "\n").encode()
