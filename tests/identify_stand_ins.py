@@ -22,7 +22,7 @@ from tissueid.pipeline import IdentifyOptions
 from tissueid.priors import Priors
 from tissueid.result import Estimate, Identification, ModelChoice
 from tissueid.selfcheck.truth import drawn_tissue, numbers_of
-from tissueid.synth.response import Path, contact_path
+from tissueid.synth.simulate import Path, contact_path
 from tissueid.trial import Trial
 from tissueid.uncertainty import ParameterUncertainty
 

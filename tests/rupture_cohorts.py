@@ -14,7 +14,7 @@ from tissueid.documents.rupture import Test as Failure
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.rupture.failures import LoadedTest, SpecimenLaw, failures_of
 from tissueid.synth import Branch, Log, Move, Rupture, as_trials, recipe, simulate
-from tissueid.synth.response import crosshead_path, rupture_of
+from tissueid.synth.simulate import crosshead_path, rupture_of
 from tissueid.trial import Trial
 
 #: Depth of rupture of the typical tissue at the middle speed, whatever the criterion [mm].

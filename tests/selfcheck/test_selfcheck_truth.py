@@ -30,8 +30,8 @@ from tissueid.selfcheck.truth import (
 )
 from tissueid.synth import Hold, Log, Move
 from tissueid.synth.recipe import Branch
-from tissueid.synth.response import Path as SynthPath
-from tissueid.synth.response import tissue_force
+from tissueid.synth.simulate import Path as SynthPath
+from tissueid.synth.simulate import tissue_force
 
 MODEL = kelvin_voigt(branches=2, stiffness_degree=1, depth_mm=8.0)
 THETA = np.array([20.0, -1.2, 0.35, 63.0, 10.0, 0.02, 8.0, 1.0, 0.6])

@@ -35,7 +35,7 @@ from tissueid.selfcheck.truth import ProtocolLog
 from tissueid.store.bundle import Bundle
 from tissueid.store.files import sha256_of
 from tissueid.synth.recipe import SECONDS_PER_MINUTE, Hold, Log, Move, Recipe
-from tissueid.synth.response import crosshead_path
+from tissueid.synth.simulate import crosshead_path
 from tissueid.trial import Contact, Segmentation, Source, Trial, contact_frame
 
 #: Scatter of the contact points of a program without any [mm].

@@ -18,7 +18,7 @@ from tissueid.inference.estimates import REFERENCE_DEPTH
 from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix
 from tissueid.model.channels import ChannelModel, loading_force, minimum_on_unit
 from tissueid.priors import CalibrationPrior, Priors, SpreadPrior
-from tissueid.synth.response import Path, contact_path
+from tissueid.synth.simulate import Path, contact_path
 
 #: Depths, as fractions of the fitted one, at which the force is checked, from fastest to slowest speed.
 FORCE_DEPTHS = (0.25, 0.5, 1.0)
