@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, Rupture, recipe, simulate
-from tissueid.synth.simulate import (
-    branch_extension,
-    crosshead_path,
-    low_pass,
-    rupture_of,
-    tissue_force,
-)
+from tissueid.synth.simulate import branch_extension, crosshead_path, low_pass, rupture_of, tissue_force
 
 TAU = 0.021
 K = 63.62
