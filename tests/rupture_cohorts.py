@@ -14,7 +14,7 @@ from tissueid.documents.rupture import Test as Failure
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.rupture.failures import LoadedTest, SpecimenLaw, failures_of
 from tissueid.synth import Branch, Log, Move, Rupture, as_trials, recipe, simulate
-from tissueid.synth.simulate import crosshead_path, rupture_of
+from tissueid.synth.simulate import Body, crosshead_path, rupture_of
 from tissueid.trial import Trial
 
 #: Depth of rupture of the typical tissue at the middle speed, whatever the criterion [mm].
@@ -33,14 +33,7 @@ def typical_threshold(criterion: str) -> float:
     for _ in range(60):
         middle = (low * high) ** 0.5
         path = crosshead_path(Log("ramp", (Move(DEEPEST_MM, SPEEDS_MM_MIN[1]),)))
-        found = rupture_of(
-            Rupture(criterion, 1.0),
-            middle,
-            path,
-            offset_mm=0.0,
-            static=PROTOCOL.static,
-            branches=PROTOCOL.branches,
-        )
+        found = rupture_of(Rupture(criterion, middle), path, Body(PROTOCOL.static, PROTOCOL.branches))
         low, high = (low, middle) if not found.ruptured or found.depth_mm > TYPICAL_MM else (middle, high)
     return (low * high) ** 0.5
 
@@ -69,12 +62,9 @@ def known_cohort(
         tests = []
         for speed in speeds:
             broken = rupture_of(
-                Rupture(criterion, 1.0),
-                threshold * tough * _factor(cv, rng),
+                Rupture(criterion, threshold * tough * _factor(cv, rng)),
                 crosshead_path(Log("ramp", (Move(stop_mm, speed),))),
-                offset_mm=0.0,
-                static=static,
-                branches=(Branch((stiffness,), TAU_S),),
+                Body(static, (Branch((stiffness,), TAU_S),)),
             )
             depth = np.linspace(0.0, broken.depth_mm, PATH_SAMPLES)
             test = LoadedTest(

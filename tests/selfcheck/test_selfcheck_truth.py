@@ -30,8 +30,8 @@ from tissueid.selfcheck.truth import (
 )
 from tissueid.synth import Hold, Log, Move
 from tissueid.synth.recipe import Branch
+from tissueid.synth.simulate import Body, tissue_force
 from tissueid.synth.simulate import Path as SynthPath
-from tissueid.synth.simulate import tissue_force
 
 MODEL = kelvin_voigt(branches=2, stiffness_degree=1, depth_mm=8.0)
 THETA = np.array([20.0, -1.2, 0.35, 63.0, 10.0, 0.02, 8.0, 1.0, 0.6])
@@ -253,9 +253,7 @@ def force(*, gain: float = 1.0, offset_mm: float = 0.0, one: ProtocolLog | None 
 
 def oracle(path: SynthPath, *, offset_mm: float) -> np.ndarray:
     """The closed form, which shares no code with the contact model."""
-    return tissue_force(
-        path, TIME, offset_mm=offset_mm, static=(20.0, -1.2, 0.35), branches=(Branch((63.62, 10.0), 0.2),)
-    )
+    return tissue_force(path, TIME, Body((20.0, -1.2, 0.35), (Branch((63.62, 10.0), 0.2),), offset_mm))
 
 
 @pytest.mark.parametrize("offset_mm", [0.0, 0.053, -0.02])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, Rupture, recipe, simulate
-from tissueid.synth.simulate import branch_extension, crosshead_path, low_pass, rupture_of, tissue_force
+from tissueid.synth.simulate import Body, branch_extension, crosshead_path, low_pass, rupture_of, tissue_force
 
 TAU = 0.021
 K = 63.62
@@ -122,7 +122,7 @@ def test_free_surface_of_a_linear_tissue_recovers_with_its_closed_form_time_cons
     program = (Move(depth, 600.0), Hold(held), Move(-0.02, 60_000.0), Hold(wait_s), Move(0.3, 6.0))
     travel = crosshead_path(Log("free", program))
     time_s = np.arange(0.0, travel.time_s[-1], 1e-3)
-    force = tissue_force(travel, time_s, offset_mm=0.0, static=(a1,), branches=(Branch((k,), tau),))
+    force = tissue_force(travel, time_s, Body((a1,), (Branch((k,), tau),)))
     start = np.flatnonzero((time_s > travel.time_s[-2]) & (force > 0.0))[0]
     # relaxed at the depth d, a sudden retreat frees the surface at a1 y = k (d - y); then tau (k + a1)/a1
     freed = depth * k / (k + a1)
@@ -150,8 +150,7 @@ SPEED_MM_S = 10.0
 
 def broken(criterion: str, threshold: float):
     path = crosshead_path(Log("ramp", (Move(9.0, 60.0 * SPEED_MM_S),)))
-    rupture = Rupture(criterion, threshold)
-    return rupture_of(rupture, threshold, path, offset_mm=1.0, static=STATIC, branches=(BRANCH,))
+    return rupture_of(Rupture(criterion, threshold), path, Body(STATIC, (BRANCH,), offset_mm=1.0))
 
 
 def measures(x: float) -> dict[str, float]:

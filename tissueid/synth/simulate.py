@@ -116,44 +116,42 @@ def branch_extension(depth: Path, tau_s: float, time_s: FloatArray) -> FloatArra
     return at_knot[segment] * np.exp(-elapsed) - speed[segment] * tau_s * np.expm1(-elapsed)
 
 
-def tissue_force(
-    travel: Path,
-    time_s: FloatArray,
-    *,
-    offset_mm: float,
-    static: tuple[float, ...],
-    branches: tuple[Branch, ...],
-) -> FloatArray:
-    """Force [N] on a tool that meets relaxed tissue at ``offset_mm``; a negative one starts indented."""
-    depth = contact_path(travel, offset_mm)
+@dataclass(frozen=True, slots=True)
+class Body:
+    """Relaxed tissue that a tool meets at ``offset_mm`` of travel; a negative one starts indented."""
+
+    static: tuple[float, ...]  # a1, a2, ... of the static force [N/mm, N/mm2, ...]
+    branches: tuple[Branch, ...]
+    offset_mm: float = 0.0
+
+
+def tissue_force(travel: Path, time_s: FloatArray, body: Body) -> FloatArray:
+    """Force [N] on a tool along its travel."""
+    depth = contact_path(travel, body.offset_mm)
     x = depth.at(time_s)
-    force = static_force(static, x)
-    for branch in branches:
+    force = static_force(body.static, x)
+    for branch in body.branches:
         force += _at(branch.stiffness, x) * branch_extension(depth, branch.tau_s, time_s)
     # rounding error of a sum of terms of the size of the largest force
     if force.size and force.min() < -1e-9 * np.abs(force).max():
-        return _with_contact_loss(travel, time_s, offset_mm, static, branches)
+        return _with_contact_loss(travel, time_s, body)
     return np.maximum(force, 0.0)
 
 
-def _with_contact_loss(
-    travel: Path,
-    time_s: FloatArray,
-    offset_mm: float,
-    static: tuple[float, ...],
-    branches: tuple[Branch, ...],
-) -> FloatArray:
+def _with_contact_loss(travel: Path, time_s: FloatArray, body: Body) -> FloatArray:
     """The same where the tool leaves the surface: step the surface y and the branches on a fine grid.
 
     In contact y follows the tool.  Free, F(y, s) = 0 is kept: with s_j' = y' - s_j/tau_j,
     y' = (sum K_j s_j/tau_j) / (F_s' + sum (K_j' s_j + K_j)).
     """
     fine = np.union1d(oversampled(time_s), travel.time_s[travel.time_s < time_s[-1]])
-    tool = (travel.at(fine) - offset_mm).tolist()
+    tool = (travel.at(fine) - body.offset_mm).tolist()
     steps = np.diff(fine, prepend=fine[0]).tolist()
-    curve = (0.0, *static)
+    curve = (0.0, *body.static)
     tangent = tuple(power * a for power, a in enumerate(curve))[1:]
-    laws = [(b.stiffness, tuple(i * k for i, k in enumerate(b.stiffness))[1:], b.tau_s) for b in branches]
+    laws = [
+        (b.stiffness, tuple(i * k for i, k in enumerate(b.stiffness))[1:], b.tau_s) for b in body.branches
+    ]
     surface, touches, s = max(tool[0], 0.0), tool[0] >= 0.0, [0.0] * len(laws)
     last = _at(curve, surface)
     force = [last if touches else 0.0]
@@ -237,37 +235,29 @@ class Broken:
         }
 
 
-def rupture_of(
-    rupture: Rupture,
-    threshold: float,
-    travel: Path,
-    *,
-    offset_mm: float,
-    static: tuple[float, ...],
-    branches: tuple[Branch, ...],
-) -> Broken:
-    """Find where a test breaks the tissue."""
-    depth = contact_path(travel, offset_mm)
+def rupture_of(rupture: Rupture, travel: Path, body: Body) -> Broken:
+    """Find where a test breaks the tissue; the threshold is that of this test."""
+    depth = contact_path(travel, body.offset_mm)
     time_s = np.union1d(np.linspace(0.0, travel.time_s[-1], GRID), depth.time_s)
     x = depth.at(time_s)
-    elastic = static_force(static, x)
-    extensions = [branch_extension(depth, branch.tau_s, time_s) for branch in branches]
-    pairs = list(zip(branches, extensions, strict=True))
+    elastic = static_force(body.static, x)
+    extensions = [branch_extension(depth, branch.tau_s, time_s) for branch in body.branches]
+    pairs = list(zip(body.branches, extensions, strict=True))
     dynamic = sum((_at(branch.stiffness, x) * s for branch, s in pairs), 0.0 * x)
     force = np.maximum(elastic + dynamic, 0.0)
     work = np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(x))])
-    stored = static_force(tuple(a / (k + 2) for k, a in enumerate(static)), x) * x
+    stored = static_force(tuple(a / (k + 2) for k, a in enumerate(body.static)), x) * x
     measure = {
         "work": work,
         "weighted-force": elastic + rupture.weight * dynamic,
         "stored-energy": sum((_spring(branch.stiffness, x, s) for branch, s in pairs), stored),
         "depth": x,
     }[rupture.criterion]
-    reached = measure >= threshold
+    reached = measure >= rupture.threshold
     k = max(int(np.argmax(reached)), 1) if reached.any() else measure.size - 1
-    share = (threshold - measure[k - 1]) / (measure[k] - measure[k - 1]) if reached.any() else 1.0
+    share = (rupture.threshold - measure[k - 1]) / (measure[k] - measure[k - 1]) if reached.any() else 1.0
     at = [float(one[k - 1] + share * (one[k] - one[k - 1])) for one in (time_s, x, force, work)]
-    return Broken(bool(reached.any()), at[0], at[1], at[2], at[3], threshold)
+    return Broken(bool(reached.any()), at[0], at[1], at[2], at[3], rupture.threshold)
 
 
 def _spring(stiffness: tuple[float, ...], x: FloatArray, extension: FloatArray) -> FloatArray:
@@ -336,10 +326,10 @@ def _one_log(
         truth["contact_offset_mm"] += recipe.contact_offset_sd_mm * float(rng.standard_normal())
     travel = crosshead_path(log, rounding_s=recipe.crosshead_rounding_s)
     time_s = np.arange(0.0, travel.time_s[-1], 1.0 / recipe.rate_Hz)
-    threshold = (
-        0.0 if recipe.rupture is None else recipe.rupture.threshold * tough * _gain(recipe.rupture.cv, rng)
-    )
-    clean = _clean_force(recipe, travel, time_s, truth, threshold)
+    rupture = recipe.rupture
+    if rupture is not None:
+        rupture = replace(rupture, threshold=rupture.threshold * tough * _gain(rupture.cv, rng))
+    clean = _clean_force(replace(recipe, rupture=rupture), travel, time_s, truth)
     return _recorded(recipe, name, specimen, travel, time_s, clean, truth, rng)
 
 
@@ -367,21 +357,18 @@ def _plan(log: Log) -> dict[str, float]:
     }
 
 
-def _clean_force(
-    recipe: Recipe, travel: Path, time_s: FloatArray, truth: dict[str, float], threshold: float
-) -> FloatArray:
+def _clean_force(recipe: Recipe, travel: Path, time_s: FloatArray, truth: dict[str, float]) -> FloatArray:
     """Tissue force behind the load channel's filter, without noise; adds to ``truth`` where it broke."""
-    static = tuple(truth["gain"] * a for a in recipe.static)
     branches = tuple(
         replace(branch, stiffness=tuple(truth["gain_stiffness"] * k for k in branch.stiffness))
         for branch in recipe.branches
     )
-    offset_mm, rupture = truth["contact_offset_mm"], recipe.rupture
-    filtered = recipe.force_filter_s > 0.0
+    body = Body(tuple(truth["gain"] * a for a in recipe.static), branches, truth["contact_offset_mm"])
+    rupture, filtered = recipe.rupture, recipe.force_filter_s > 0.0
     times = oversampled(time_s) if filtered else time_s
-    force = tissue_force(travel, times, offset_mm=offset_mm, static=static, branches=branches)
+    force = tissue_force(travel, times, body)
     if rupture is not None:
-        broken = rupture_of(rupture, threshold, travel, offset_mm=offset_mm, static=static, branches=branches)
+        broken = rupture_of(rupture, travel, body)
         truth |= broken.as_truth()
         if broken.ruptured:
             force = np.where(times > broken.time_s, rupture.residual * force, force)
