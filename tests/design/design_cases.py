@@ -13,7 +13,7 @@ from tissueid import FitOptions, IdentifyOptions, identify
 from tissueid.arrays import FloatArray
 from tissueid.design.machine import PRESETS, Machine, Setting
 from tissueid.design.plan import matched_wants, planned
-from tissueid.design.precision import Asked, Chain, Indentation, Ledger, Protocol, given_protocol, ramp_of
+from tissueid.design.precision import Asked, Indentation, Ledger, Protocol, given_protocol, ramp_of
 from tissueid.design.tissues import Tissues, of_draws
 from tissueid.documents.design import Want
 from tissueid.manifest import Study
@@ -63,9 +63,7 @@ class Case:
 
     @property
     def ledger(self) -> Ledger:
-        return Ledger(
-            self.tissues, Chain(self.machine, self.setting, self.asked.gain_sd, self.asked.total), self.asked
-        )
+        return Ledger(self.machine, self.setting, self.tissues, self.asked)
 
     def predicted(self) -> dict[str, float]:
         found = self.ledger.precision(self.protocol)

@@ -12,7 +12,7 @@ from design_cases import ETA, PAPER_A, TAU, asked_for, better_than_paper_a, pape
 
 from tissueid.design.machine import PRESETS, Setting
 from tissueid.design.plan import Plan, against, planned
-from tissueid.design.precision import Asked, Chain, Ledger
+from tissueid.design.precision import Asked, Ledger
 from tissueid.design.search import enumerated, learned_candidates, rounded
 from tissueid.design.tissues import Tissues, of_draws
 from tissueid.errors import UsageError
@@ -29,7 +29,7 @@ def plain_plan() -> Plan:
 
 
 def ledger_of(setting: Setting = MACHINE.settings[0], asked: Asked = ASKED) -> Ledger:
-    return Ledger(PAPER_A, Chain(MACHINE, setting, asked.gain_sd, asked.total), asked)
+    return Ledger(MACHINE, setting, PAPER_A, asked)
 
 
 def uncertain(draws: int = 6) -> Tissues:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissueid.design.machine import Machine, Setting
-from tissueid.design.precision import Asked, Chain, Ledger, Protocol
+from tissueid.design.precision import Asked, Ledger, Protocol
 from tissueid.design.search import REFINED, Found, balanced, count_paths, enumerated, refined
 from tissueid.design.tissues import Tissues
 from tissueid.documents.design import Limit, Want
@@ -21,6 +21,7 @@ TIMES = 10.0
 #: A frame that does not give.
 RIGID_N_PER_MM = 1e9
 
+Progress = Callable[[str, int, int], None]
 #: Name, words, and fields of machine, setting and request that become others.
 _Change = tuple[str, str, dict[str, Any], dict[str, Any], dict[str, Any]]
 
@@ -66,18 +67,16 @@ def _of_request(machine: Machine, asked: Asked) -> Iterator[_Change]:
     yield "skew", "force and displacement without a skew", {"skew_sd_s": 0.0}, {}, {}
 
 
-def limits_of(ledger: Ledger, progress: Callable[[str, int, int], None]) -> tuple[Limit, ...]:
+def limits_of(ledger: Ledger, progress: Progress) -> tuple[Limit, ...]:
     """Gains of the best protocol of a ledger from each change, the greatest gain first."""
-    machine, now, asked = ledger.chain.machine, ledger.chain.setting, ledger.asked
+    machine, now, asked = ledger.machine, ledger.setting, ledger.asked
     best = enumerated(ledger)[0][0].worst
     changes = [*_of_machine(machine, now), *_of_request(machine, asked)]
     out = []
     for number, (name, words, *fields) in enumerate(changes):
         progress("what limits it", number, len(changes))
         other, setting = replace(machine, **fields[0]), replace(now, **fields[1])
-        allowed = replace(asked, **fields[2])
-        chain = replace(ledger.chain, machine=other, setting=setting, gain_sd=allowed.gain_sd)
-        found, _ = enumerated(Ledger(ledger.tissues, chain, allowed))
+        found, _ = enumerated(Ledger(other, setting, ledger.tissues, replace(asked, **fields[2])))
         if not found:
             continue
         # a protocol that reaches the wants is made no better than it must be
@@ -86,8 +85,6 @@ def limits_of(ledger: Ledger, progress: Callable[[str, int, int], None]) -> tupl
     telling = [one for one in out if one.factor >= WORTH_TELLING]
     return tuple(sorted(telling, key=lambda one: (not one.enough, -one.factor)))
 
-
-Progress = Callable[[str, int, int], None]
 
 #: Tissues that the search looks at; the result is judged on all.
 PILOT = 4
@@ -154,7 +151,7 @@ def judged(ledger: Ledger, protocol: Protocol) -> Judged:
     """A protocol on all tissues of a ledger."""
     found = ledger.precision(protocol)
     return Judged(
-        setting=ledger.chain.setting,
+        setting=ledger.setting,
         protocol=protocol,
         seconds=ledger.duration(protocol),
         assured=tuple(float(value) for value in found.assured),
@@ -173,7 +170,7 @@ def against(name: str, protocol: Protocol, machine: Machine, tissues: Tissues, a
                 f"it moves at {test.speed_mm_min:g} mm/min, the machine at {machine.max_speed_mm_min:g}"
             )
             return Against(name, None, obstacle)
-    options = [judged(_ledger(machine, setting, tissues, asked), protocol) for setting in machine.settings]
+    options = [judged(Ledger(machine, setting, tissues, asked), protocol) for setting in machine.settings]
     return Against(name, min(options, key=lambda one: one.worst))
 
 
@@ -185,10 +182,6 @@ def matched_wants(protocol: Protocol, machine: Machine, tissues: Tissues, asked:
     return tuple(
         Want(want.name, float(share)) for want, share in zip(asked.wants, found.assured, strict=True)
     )
-
-
-def _ledger(machine: Machine, setting: Setting, tissues: Tissues, asked: Asked) -> Ledger:
-    return Ledger(tissues, Chain(machine, setting, asked.gain_sd, asked.total), asked)
 
 
 def _check_room(machine: Machine, ledgers: Sequence[Ledger], asked: Asked) -> None:
@@ -209,7 +202,7 @@ def _check_room(machine: Machine, ledgers: Sequence[Ledger], asked: Asked) -> No
 def planned(machine: Machine, tissues: Tissues, asked: Asked, progress: Progress) -> Plan:
     """Search all settings."""
     pilot = tissues.pilot(PILOT)
-    ledgers = [_ledger(machine, setting, pilot, asked) for setting in machine.settings]
+    ledgers = [Ledger(machine, setting, pilot, asked) for setting in machine.settings]
     _check_room(machine, ledgers, asked)
     total = sum(count_paths(ledger) for ledger in ledgers)
     done = 0
@@ -235,7 +228,7 @@ def planned(machine: Machine, tissues: Tissues, asked: Asked, progress: Progress
         raise UsageError(msg)
     finalists = _finalists(pools, progress)
     ranked = _ranked(machine, tissues, asked, finalists, progress)
-    best = next(ledger for ledger in ledgers if ledger.chain.setting == ranked[0].setting)
+    best = next(ledger for ledger in ledgers if ledger.setting == ranked[0].setting)
     front = _front(best, progress)
     limits = () if ranked[0].reached else limits_of(best, progress)
     return Plan(
@@ -255,7 +248,7 @@ def _finalists(
     for number, (ledger, found) in enumerate(pools):
         progress("refining", number, len(pools))
         better = refined(ledger, found[:REFINED])
-        out += [(ledger.chain.setting, one) for one in (*better, *found)]
+        out += [(ledger.setting, one) for one in (*better, *found)]
     return out
 
 
@@ -281,7 +274,7 @@ def _ranked(
     for setting in machine.settings:
         if not any(key[0] == setting for key, _ in chosen):
             chosen += [item for item in best.items() if item[0][0] == setting][:1]
-    whole = {setting: _ledger(machine, setting, tissues, asked) for setting in machine.settings}
+    whole = {setting: Ledger(machine, setting, tissues, asked) for setting in machine.settings}
     out = []
     for number, ((setting, _), one) in enumerate(chosen):
         progress("judging on all tissues", number, len(chosen))

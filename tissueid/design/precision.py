@@ -331,14 +331,20 @@ class Precision:
 class Ledger:
     """Indentations of one machine and setting on some tissues, each computed once."""
 
+    machine: Machine
+    setting: Setting
     tissues: Tissues
-    chain: Chain
     asked: Asked
     tick: Callable[[], None] = lambda: None  # called with every path that is simulated
     computed: int = 0
     _slopes: FloatArray | None = None
     _known: dict[Indentation, FloatArray] = field(default_factory=dict)
     _depths: dict[float, float] = field(default_factory=dict)
+
+    @property
+    def chain(self) -> Chain:
+        """Measuring chain as it is asked for."""
+        return Chain(self.machine, self.setting, self.asked.gain_sd, self.asked.total)
 
     def deepest(self, speed_mm_min: float) -> float:
         """Depth [mm] that a ramp may reach without passing the greatest force on any tissue."""
@@ -359,7 +365,7 @@ class Ledger:
 
     def seconds(self, test: Indentation) -> float:
         """Machine time of one log, with the rest that follows it."""
-        return seconds_of(test, self.chain.machine) + self.asked.recovery_s
+        return seconds_of(test, self.machine) + self.asked.recovery_s
 
     def learn(self, speed_mm_min: float, depth_mm: float, holds_s: Sequence[float]) -> None:
         """Compute an indentation for several holds in one pass."""

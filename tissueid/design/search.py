@@ -46,7 +46,7 @@ def _holds(ledger: Ledger) -> list[float]:
 
 def _allowed(ledger: Ledger, test: Indentation) -> bool:
     """True where machine, tissue and budget bear it."""
-    machine = ledger.chain.machine
+    machine = ledger.machine
     if not machine.min_speed_mm_min <= test.speed_mm_min <= machine.max_speed_mm_min:
         return False
     shallowest = max(SHALLOWEST_SD * machine.contact_sd_mm, 0.02 * ledger.asked.max_depth_mm)
@@ -58,7 +58,7 @@ def _allowed(ledger: Ledger, test: Indentation) -> bool:
 
 
 def _starts(ledger: Ledger) -> Iterator[tuple[float, float]]:
-    machine = ledger.chain.machine
+    machine = ledger.machine
     for share in SPEED_SHARES:
         speed = max(rounded(share * machine.max_speed_mm_min), machine.min_speed_mm_min)
         deepest = ledger.deepest(speed)
@@ -85,7 +85,7 @@ def learned_candidates(ledger: Ledger) -> list[Indentation]:
 
 def neighbours(ledger: Ledger, test: Indentation) -> list[Indentation]:
     """Indentations one step away in speed, depth or hold, as far as they are allowed."""
-    machine, most = ledger.chain.machine, ledger.asked.max_depth_mm
+    machine, most = ledger.machine, ledger.asked.max_depth_mm
     speed, depth, hold = test.speed_mm_min, test.depth_mm, test.hold_s
     slowest, fastest = machine.min_speed_mm_min, machine.max_speed_mm_min
     speeds = [
