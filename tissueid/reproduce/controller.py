@@ -20,7 +20,8 @@ from tissueid.rendering.control.simulation import ControlRun, simulate
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.reproduce.published import SADEGHNEJAD, Kind, Ledger, Readings, Said
 from tissueid.reproduce.recordings import Effort
-from tissueid.reproduce.speeds import SPEEDS_MM_MIN, tissue_through_peaks
+from tissueid.reproduce.speeds import tissue_through_peaks
+from tissueid.synth.recipe import SPEEDS_MM_MIN
 
 VARIANTS = ("A", "B")
 TASKS = ("sustained", "free-contact")

@@ -39,16 +39,10 @@ from tissueid.reproduce.published import (
     points,
     rounded,
 )
-from tissueid.reproduce.speeds import (
-    DEPTHS_MM,
-    HOLD_SPEED_MM_MIN,
-    branch_force,
-    cubic_through_peaks,
-    read_branch,
-)
+from tissueid.reproduce.speeds import DEPTHS_MM, branch_force, cubic_through_peaks, read_branch
 from tissueid.result import Curve, SpecimenFit
 from tissueid.synth.dataset import write_set
-from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe, recipe
+from tissueid.synth.recipe import HOLD_S, HOLD_SPEED_MM_MIN, Branch, Hold, Log, Move, Recipe, recipe
 from tissueid.trial import Trial
 from tissueid.uncertainty import Posterior
 
@@ -185,7 +179,6 @@ def elastic_imitation(ledger: Ledger, readings: Readings, depth: int) -> str:
 SHAPE = (20.0, -1.2, 0.35)
 #: White noise of the load cell [N]: what a spread of 1.7 % over four tests needs at 1 kHz.
 HOLD_SIGMA_N = 0.15
-HOLD_S = 30.0
 #: The largest of some hundred samples of noise lies as high above the peak [N].
 PEAK_TOLERANCE_N = 0.5
 #: Points of a drawn record.

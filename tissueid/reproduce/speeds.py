@@ -15,12 +15,10 @@ from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.rupture import hardening_ratio, rupture_at_speed
 from tissueid.reproduce.published import SADEGHNEJAD, Kind, Ledger, Readings, Said, points
-from tissueid.synth.recipe import Branch
+from tissueid.synth.recipe import HOLD_SPEED_MM_MIN, SPEEDS_MM_MIN, Branch
 
-#: Depths of the relaxation tests and speeds of the indentations, section II.A of the paper.
+#: Depths of the relaxation tests, section II.A of the paper.
 DEPTHS_MM = (2, 4, 6, 8)
-HOLD_SPEED_MM_MIN = 250.0
-SPEEDS_MM_MIN = (10.0, 70.0, 100.0, 150.0, 250.0, 500.0)
 #: A model claims depths up to here [mm]; the deepest test.
 DEPTH_MM = 8.0
 
