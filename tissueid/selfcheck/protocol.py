@@ -218,7 +218,6 @@ DEPTH_TOLERANCE = 0.02
 SMOOTHED = 11
 
 _Progress = Callable[[str, int, int], None]
-_Reload = Callable[[Source], Trial]
 
 
 def _in_contact(raw: Trial, study: Study | None) -> tuple[Trial, Segmentation, Contact] | None:
@@ -309,7 +308,7 @@ class Recordings:
     """Recordings that a check is made of, as they are read."""
 
     trials: Iterable[Trial]
-    reload: _Reload
+    reload: Callable[[Source], Trial]
     where: str  # as the user named them
     study: Study | None = None
 

@@ -38,8 +38,7 @@ class Replicate:
     """One simulation: a truth, and draws of its posterior."""
 
     truth: Mapping[str, float]  # name -> true value
-    #: The same names -> draws, shape (L,), L >= :data:`~tissueid.selfcheck.verdicts.DRAWS`, independent or
-    #: nearly so.
+    #: The same names -> draws, shape (L,), L >= :data:`DRAWS`, independent or nearly so.
     draws: Mapping[str, FloatArray]
     #: Further numbers that are kept, as the acceptance of the sampler.
     detail: Mapping[str, float] = field(default_factory=dict)
