@@ -37,7 +37,7 @@ DEVICES = {
         "tissueid.haptics.forcedimension.device:ForceDimensionDevice", hardware=True
     ),
     "emulator": Registered("tissueid.haptics.falcon.emulator.device:EmulatorDevice"),
-    "replay": Registered("tissueid.haptics.replay:ReplayDevice"),
+    "replay": Registered("tissueid.haptics.sim:ReplayDevice"),
     "sim": Registered("tissueid.haptics.sim:SimulatedDevice", reported_as="Simulated device"),
 }
 HARDWARE = tuple(name for name, one in DEVICES.items() if one.hardware)

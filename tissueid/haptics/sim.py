@@ -1,4 +1,4 @@
-"""A device that is computed: an arm in a hand, behind encoders that round and a wire that delays.
+"""Devices that are computed: an arm in a hand, behind encoders that round and a wire that delays; a log.
 
 Equal settings and forces give equal samples, bit for bit.  In virtual time no clock is read: each
 ``write_force`` lets one period pass.  One mass in all directions, no gravity, no stops; positions are rounded
@@ -8,15 +8,18 @@ along x, y and z, not at the legs, and no bytes are exchanged (the emulator has 
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
+from tissueid.errors import DeviceError
 from tissueid.haptics import shared_hand as layout
 from tissueid.haptics.arm import ARM_MEMORY, HAND_FORCE, POSITION, TIME, Arm, arm_step, new_arm
 from tissueid.haptics.device import (
@@ -278,3 +281,81 @@ class SimulatedDevice(HapticDevice):
         simulated_command(self.memory, self.parameters, force_N)
         if not self.real_time:
             simulated_advance(self.memory, self.parameters, self.period_s)
+
+
+class ReplayDevice(HapticDevice):
+    """A device that moves as a log did, ``render --replay LOG``; DeviceError where it holds no motion.
+
+    Between two records it is on their line, outside them at rest; no force changes the motion.
+    """
+
+    name = "replay"
+
+    def __init__(
+        self,
+        limits: GuardLimits | None = None,
+        *,
+        log: str | os.PathLike[str] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(carried(limits or GuardLimits.simulated()))
+        self._clock = clock
+        self._started_s: float | None = None
+        self._time_s, self._position_m = np.zeros(1), np.array([CENTRE_M])
+        self._buttons = np.zeros(1, np.int64)
+        self._log = log
+        if log is not None:
+            self._load(Path(log))
+
+    @classmethod
+    def detect(cls) -> list[DetectedDevice]:
+        """It is there where a log is named."""
+        return [DetectedDevice(cls.name, "this program", "needs the log of a session: --replay LOG")]
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Of a motion that no force changes: nothing to hurt, nothing to damp."""
+        return computed(self, damping_N_s_per_m=np.inf, delay_ticks=0.0)
+
+    def _load(self, path: Path) -> None:
+        from tissueid.store.session_log import read_session_log
+
+        records = read_session_log(path).records
+        times = np.asarray(records["time_s"], dtype=np.float64)
+        places = np.asarray(records["position_m"], dtype=np.float64)
+        sound = np.isfinite(times) & np.isfinite(places).all(axis=1)
+        times, places = times[sound], places[sound]
+        if times.size < 2 or (np.diff(times) <= 0.0).any():
+            msg = f"{path}: its {times.size} usable records hold no motion that goes forward in time"
+            raise DeviceError(msg)
+        self._time_s, self._position_m = times - times[0], places
+        self._buttons = np.zeros(times.size, np.int64)
+        if "buttons" in (records.dtype.names or ()):
+            self._buttons = records["buttons"][sound].astype(np.int64)
+
+    def _open(self) -> None:
+        if self._log is None:
+            msg = "replay: no log was named; give one with --replay LOG"
+            raise DeviceError(msg)
+        self._started_s = None
+
+    def _close(self) -> None:
+        """Nothing to let go of."""
+
+    def _read(self) -> DeviceSample:
+        if self._started_s is None:
+            self._started_s = self._clock()
+        now = self._clock() - self._started_s
+        place = np.array([np.interp(now, self._time_s, self._position_m[:, axis]) for axis in range(3)])
+        at = int(np.searchsorted(self._time_s, now, side="right")) - 1
+        return DeviceSample(
+            time_s=now,
+            position_m=place,
+            counts=np.floor(place / DEFAULT_QUANTUM_M).astype(np.int64),
+            buttons=int(self._buttons[at]),
+            homed=True,
+            valid=True,
+        )
+
+    def _write(self, force_N: FloatArray) -> None:
+        """No force changes a recorded motion."""
