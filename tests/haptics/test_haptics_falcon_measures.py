@@ -33,8 +33,10 @@ UP, NO_SLOPE = np.array([0.0, 1.0, 0.0]), np.zeros((3, 3))
 Vector = NDArray[np.float64]
 
 
-def no_pause(_until: float) -> None:
+@pytest.fixture(autouse=True)
+def _no_pause(monkeypatch: pytest.MonkeyPatch) -> None:
     """A device in virtual time is never waited for."""
+    monkeypatch.setattr(measure, "wait_for", lambda _until: None)
 
 
 class Grip(FakeDevice):
@@ -95,7 +97,7 @@ def hanging(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Grip]]:
 def test_weighing_finds_the_newton_of_a_device(hanging, truth, grams):
     device = hanging(truth=truth)
     hang = lambda: setattr(device, "hung_kg", grams / 1000)  # noqa: E731
-    found = measure.weigh(device, grams / 1000, hang, no_pause)
+    found = measure.weigh(device, grams / 1000, hang)
     # friction of 0.1 N is in every force; up and down it cancels to a tenth of a per cent
     assert found.ratio == pytest.approx(1.0 / truth, rel=2e-3)
     assert found.empty_N == pytest.approx(0.06 * measure.GRAVITY / truth, rel=5e-3)
@@ -113,7 +115,7 @@ def test_weighing_finds_the_newton_of_a_device(hanging, truth, grams):
 )
 def test_a_mass_that_was_not_hung_or_is_too_heavy_for_the_clamp_is_told(hanging, own_kg, reason):
     with pytest.raises(DeviceError, match=reason):
-        measure.weigh(hanging(own_kg * measure.GRAVITY * UP), 0.1, lambda: None, no_pause)
+        measure.weigh(hanging(own_kg * measure.GRAVITY * UP), 0.1, lambda: None)
 
 
 @pytest.mark.parametrize(("arm", "delay_ticks"), [(Arm(0.25, 0.5, 0.1), 1.5), (Arm(0.20, 1.5, 0.0), 2.5)])
@@ -121,7 +123,7 @@ def test_a_swing_tells_mass_damping_and_friction(arm, delay_ticks):
     free = Hand((0.0,), ((0.0, 0.0, 0.13),), (0.0,))
     device = SimulatedDevice(HANDS_OFF, arm=arm, hand=free, delay_ticks=delay_ticks)
     homed(device)
-    found = measure.ring_down(device, delay_ticks * TICK_S, no_pause)
+    found = measure.ring_down(device, delay_ticks * TICK_S)
     # counts of 45 um and windows of 30 ms; the bars hold for seeds and arms tried beside these
     assert found.mass_kg == pytest.approx(arm.mass_kg, rel=0.02)
     assert found.damping_N_s_per_m == pytest.approx(arm.damping_N_s_per_m, abs=0.02)
@@ -191,7 +193,7 @@ KNOWN = Calibration(
 def test_the_weight_is_found_behind_friction_and_encoders():
     device = Grip(weight_N=WEIGHT_N, slope=SLOPE)
     homed(device)
-    found = measure.weigh_poses(device, no_pause)
+    found = measure.weigh_poses(device)
     device.close()
     # friction of 0.1 N is in every force; to and fro it cancels to a tenth of that
     np.testing.assert_allclose(found.weight_N, WEIGHT_N, atol=0.01)

@@ -26,8 +26,6 @@ from tissueid.haptics.states import FAULT_WORDS, Fault, State
 
 #: ``law(time since the start [s], position [m], velocity [m/s]) -> force [N]``.
 Law = Callable[[float, FloatArray, FloatArray], FloatArray]
-#: Waits until a time of the device's clock; a device in virtual time needs none.
-Pace = Callable[[float], None]
 
 #: Tick of the servo [s].
 TICK_S = 0.001
@@ -54,7 +52,7 @@ class Motion:
     force_N: FloatArray  # (n, 3)
 
 
-def record(device: HapticDevice, law: Law, duration_s: float, pace: Pace = wait_for) -> Motion:
+def record(device: HapticDevice, law: Law, duration_s: float) -> Motion:
     """Run a force law on a homed device for some time; DeviceError on a fault, or when the device is lost."""
     times: list[float] = []
     positions: list[FloatArray] = []
@@ -76,7 +74,7 @@ def record(device: HapticDevice, law: Law, duration_s: float, pace: Pace = wait_
         times.append(now)
         positions.append(sample.position_m.copy())
         forces.append(device.write_force(law(now, sample.position_m, velocity), dt))
-        pace(before + TICK_S)
+        wait_for(before + TICK_S)
     return Motion(np.array(times), np.array(positions), np.array(forces))
 
 
@@ -85,17 +83,17 @@ def no_force(_time_s: float, _position: FloatArray, _velocity: FloatArray) -> Fl
     return np.zeros(3)
 
 
-def engage(device: HapticDevice, pace: Pace = wait_for) -> None:
+def engage(device: HapticDevice) -> None:
     """Ask for force and wait through the start-up ramp; DeviceError if the guard does not engage."""
     device.engage()
     waited = 0.0
     while device.state is not State.ENGAGED and waited < ENGAGE_S:
-        record(device, no_force, 0.0, pace)
+        record(device, no_force, 0.0)
         waited += TICK_S
     if device.state is not State.ENGAGED:
         msg = f"{device.name}: no force within {ENGAGE_S:g} s: is it homed, and the dead-man button held?"
         raise DeviceError(msg)
-    record(device, no_force, RAMP_S, pace)
+    record(device, no_force, RAMP_S)
 
 
 #: After this time an answer is lost, not late [s].
@@ -222,18 +220,18 @@ class _Holder:
         return np.asarray(STIFFNESS * error - DAMPING * velocity + self._integral)
 
 
-def weigh(device: HapticDevice, mass_kg: float, hang: Callable[[], None], pace: Pace = wait_for) -> Weighing:
+def weigh(device: HapticDevice, mass_kg: float, hang: Callable[[], None]) -> Weighing:
     """Hold the grip, then the grip with a mass: the difference is the mass alone.
 
     ``device``: homed; its dead-man button off, since no hand may hold the grip; ``hang``: returns when the
     user has hung the mass on the grip.  Raises DeviceError: the clamp is reached, the mass is not felt, or a
     fault.
     """
-    empty = _held(device, pace)
+    empty = _held(device)
     device.disengage()
-    record(device, no_force, PERIOD_S, pace)
+    record(device, no_force, PERIOD_S)
     hang()
-    loaded = _held(device, pace)
+    loaded = _held(device)
     device.disengage()
     weight = mass_kg * GRAVITY
     difference = float(np.mean(loaded) - np.mean(empty))
@@ -248,13 +246,13 @@ def weigh(device: HapticDevice, mass_kg: float, hang: Callable[[], None], pace: 
     return Weighing(*held, weight, difference / weight, error / weight)
 
 
-def _held(device: HapticDevice, pace: Pace) -> FloatArray:
+def _held(device: HapticDevice) -> FloatArray:
     """Mean upward force of each period, shape (PERIODS,)."""
-    engage(device, pace)
+    engage(device)
     holder = _Holder(device.read().position_m, APPROACH_S, PERIOD_S, np.eye(3)[UP], np.eye(3)[UP])
     holder.go(np.array(MIDDLE_M))
     try:
-        motion = record(device, holder, APPROACH_S + (SETTLING + PERIODS) * PERIOD_S, pace)
+        motion = record(device, holder, APPROACH_S + (SETTLING + PERIODS) * PERIOD_S)
     except DeviceError as error:
         if device.fault is not Fault.ENCODER_FROZEN:
             raise
@@ -280,16 +278,16 @@ def _means(motion: Motion, begin_s: float, end_s: float) -> FloatArray:
     return np.asarray(np.average(both, axis=1, weights=steps))
 
 
-def weigh_poses(device: HapticDevice, pace: Pace = wait_for) -> GripWeight:
+def weigh_poses(device: HapticDevice) -> GripWeight:
     """Hold the free grip of a homed device, no dead-man button, at every pose; DeviceError on a fault."""
-    engage(device, pace)
+    engage(device)
     diagonal = np.full(3, 3.0**-0.5)
     holder = _Holder(device.read().position_m, POSE_APPROACH_S, POSE_PERIOD_S, diagonal, np.ones(3))
     settled_s = POSE_APPROACH_S + POSE_SETTLING * POSE_PERIOD_S
     means = []
     for pose in POSES_M:
         holder.go(np.array(pose))
-        motion = record(device, holder, settled_s + POSE_PERIODS * POSE_PERIOD_S, pace)
+        motion = record(device, holder, settled_s + POSE_PERIODS * POSE_PERIOD_S)
         means.append(_means(motion, settled_s, math.inf))
     device.disengage()
     places, forces = np.array(means).transpose(1, 0, 2)
@@ -341,13 +339,13 @@ class ArmEstimate:
         return max(self.damping_N_s_per_m - 2.0 * self.damping_stderr - SYSTEMATIC, 0.0)
 
 
-def ring_down(device: HapticDevice, delay_s: float, pace: Pace = wait_for) -> ArmEstimate:
+def ring_down(device: HapticDevice, delay_s: float) -> ArmEstimate:
     """Let the free grip of a homed device swing, and estimate its mechanics.
 
     ``delay_s``: from a position to the force it causes [s]; the dead-man button is off, since a hand would be
     measured too.  Raises DeviceError: the grip does not swing, or a fault.
     """
-    engage(device, pace)
+    engage(device)
     start = device.read().position_m
 
     def law(time_s: float, position: FloatArray, velocity: FloatArray) -> FloatArray:
@@ -360,7 +358,7 @@ def ring_down(device: HapticDevice, delay_s: float, pace: Pace = wait_for) -> Ar
         force[ALONG] = SOFT * (rest[ALONG] - position[ALONG])
         return np.asarray(force)
 
-    motion = record(device, law, APPROACH_S + JUMPS * REST_S, pace)
+    motion = record(device, law, APPROACH_S + JUMPS * REST_S)
     device.disengage()
     return estimate_arm(motion, delay_s)
 
