@@ -23,8 +23,14 @@ from tissueid.haptics.falcon.emulator import (
     ScriptedFault,
 )
 from tissueid.haptics.falcon.emulator.__main__ import main as emulator_main
-from tissueid.haptics.falcon.emulator.machine import AZIMUTHS, LENGTHS, grip_force, leg_angles, parse_fault
-from tissueid.haptics.falcon.emulator.wire import CommandReader
+from tissueid.haptics.falcon.emulator.machine import (
+    AZIMUTHS,
+    LENGTHS,
+    CommandReader,
+    grip_force,
+    leg_angles,
+    parse_fault,
+)
 from tissueid.haptics.hand import Hand
 
 

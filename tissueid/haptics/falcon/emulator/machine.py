@@ -1,4 +1,4 @@
-"""The emulated Falcon itself: bytes in, bytes out, and time in between.
+"""The emulated Falcon itself: bytes in, bytes out, by tables; a boot loader before them, and time in between.
 
 Power-up leaves the encoders at an unknown zero; a leg is homed by a pull and a push while homing mode is
 commanded, and a command without it forgets that.  The hand's script and the clock of scripted faults begin
@@ -8,8 +8,10 @@ with the first homing command.  Time goes by ``advance``, or by a fixed period a
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 
@@ -17,9 +19,124 @@ from tissueid.arrays import FloatArray
 from tissueid.compiled import kernel
 from tissueid.errors import UsageError, printable
 from tissueid.haptics.arm import POSITION, TIME, Arm, arm_step, new_arm
-from tissueid.haptics.falcon.emulator.wire import BootLoader, Command, CommandReader, reply_bytes
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.shared_hand import MAX_KNOTS
+
+LETTERS = b"ABCDEFGHIJKLMNOP"
+#: Letters of every 16-bit number, and the number of four letters.
+SPELLING = {
+    number: bytes(LETTERS[(number >> shift) & 15] for shift in (0, 4, 8, 12))
+    for number in range(-32768, 32768)
+}
+NUMBERS = {letters: number for number, letters in SPELLING.items()}
+#: A command: three numbers, flags, one byte of any kind.
+COMMAND = re.compile(rb"<([A-P]{12})([A-P]).>", re.DOTALL)
+COMMAND_BYTES = 16
+#: Bits of the flags: homing mode, and lamps.
+HOMING, LAMPS = 1, {2: "green", 4: "blue", 8: "red"}
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """Command of a host."""
+
+    motors: tuple[int, int, int]  # motor units of legs 1 to 3, as sent
+    homing: bool
+    lamps: frozenset[str]
+
+
+class CommandReader:
+    """Finds command packets in a stream of bytes; whatever is none is dropped."""
+
+    def __init__(self) -> None:
+        self._kept = b""
+
+    def feed(self, data: bytes) -> list[Command]:
+        """Return the commands that ``data`` completes, in order."""
+        self._kept += data
+        found, end = [], 0
+        for packet in COMMAND.finditer(self._kept):
+            letters, flags = packet[1], LETTERS.index(packet[2])
+            motors = (NUMBERS[letters[:4]], NUMBERS[letters[4:8]], NUMBERS[letters[8:]])
+            lamps = frozenset(name for bit, name in LAMPS.items() if flags & bit)
+            found.append(Command(motors, bool(flags & HOMING), lamps))
+            end = packet.end()
+        # the rest may begin a packet
+        self._kept = self._kept[end:][1 - COMMAND_BYTES :]
+        return found
+
+
+def reply_bytes(encoders: tuple[int, int, int], *, buttons: int, homed: int) -> bytes:
+    """Packet the device answers with; counts wrap at 16 bits, ``homed`` has a bit for each leg."""
+    spelled = b"".join(SPELLING[(count + 32768) % 65536 - 32768] for count in encoders)
+    return b"<" + spelled + bytes([0x41 + (buttons & 15) + ((homed & 7) << 4)]) + b"A>"
+
+
+HELLO = bytes([0x0A, 0x43, 0x0D])
+GREETING = bytes([0x0A, 0x44, 0x2C, 0x0D])
+READY = b"A"
+HELLO_BAUD, BOOT_BAUD, RUN_BAUD = 9600, 142_857, 1_500_000
+#: A tty rounds a rate as it likes; a wrong one is off by far more.
+BAUD_TOLERANCE = 0.05
+
+
+class _Stage(Enum):
+    GREETING = "waits for a greeting"
+    READY = "waits for the start of an upload"
+    UPLOAD = "takes firmware"
+    BROKEN = "waits for a new start"
+
+
+@dataclass
+class BootLoader:
+    """The upload protocol, without a clock: it greets, then echoes every byte it is given.
+
+    The change of the baud rate completes the upload; ``failing_tries``: uploads whose echo is spoilt.
+    """
+
+    failing_tries: int = 0
+    baud: int | None = None
+    taken: int = 0
+    tries: int = 0
+    _stage: _Stage = _Stage.GREETING
+    _tail: bytes = b""
+
+    def set_baud(self, baud: int) -> bool:
+        """Take a new rate; True where that starts the firmware."""
+        self.baud = baud
+        return self._speaks(RUN_BAUD) and self._stage is _Stage.UPLOAD and self.taken > 0
+
+    def feed(self, data: bytes) -> bytes:
+        """Answer bytes of the host."""
+        return b"".join(self._take(bytes([byte])) for byte in data)
+
+    def _speaks(self, baud: int) -> bool:
+        """The rate is the one this stage needs, or the transport has none."""
+        return self.baud is None or abs(self.baud - baud) <= BAUD_TOLERANCE * baud
+
+    def _take(self, byte: bytes) -> bytes:
+        if self._stage is _Stage.UPLOAD:
+            if not self._speaks(BOOT_BAUD):
+                return b""
+            self.taken += 1
+            if self.tries <= self.failing_tries and self.taken == 3 * 62 + 1:
+                # the first byte of the fourth chunk comes back spoilt
+                self._stage = _Stage.BROKEN
+                self._tail = b""
+                return bytes([byte[0] ^ 0xFF])
+            return byte
+        if self._stage is _Stage.READY and byte == READY and self._speaks(BOOT_BAUD):
+            self._stage = _Stage.UPLOAD
+            self.taken = 0
+            self.tries += 1
+            return READY
+        self._tail = (self._tail + byte)[-len(HELLO) :]
+        if self._tail == HELLO and self._speaks(HELLO_BAUD):
+            self._tail = b""
+            self._stage = _Stage.READY
+            return GREETING
+        return b""
+
 
 #: Kinds, and what each does while it lasts.
 FAULT_KINDS = {
