@@ -91,7 +91,7 @@ def threaded_viewer() -> Iterator[Any]:
     """The server in a thread of the owner, to compare with."""
     import socket
 
-    from tissueid.viewer.feed import LiveFeed
+    from tissueid.viewer.frames import LiveFeed
     from tissueid.viewer.hello import hello
     from tissueid.viewer.security import Access
     from tissueid.viewer.server import Stage, ViewerServer

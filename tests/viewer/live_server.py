@@ -20,8 +20,7 @@ from session_heads import head_of
 from websockets.sync.client import ClientConnection, connect
 
 from tissueid.haptics.ring import RECORD, Ring
-from tissueid.viewer.feed import LiveFeed
-from tissueid.viewer.frames import Frame, read_frame
+from tissueid.viewer.frames import Frame, LiveFeed, read_frame
 from tissueid.viewer.hello import hello
 from tissueid.viewer.security import Access
 from tissueid.viewer.server import HandPointer, Stage, ViewerServer

@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import uvicorn
@@ -29,11 +29,9 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.viewer.bundling import BUNDLE, MISSING_BUNDLE
+from tissueid.viewer.frames import Client, LiveFeed, Playback, Source
 from tissueid.viewer.protocols import LARGEST_MESSAGE, PunctualHttp, SparingWebSocket, parse_message
 from tissueid.viewer.security import Access, RefusalLog
-
-if TYPE_CHECKING:
-    from tissueid.viewer.feed import Client, LiveFeed, Source
 
 #: Between two looks at the ring [s]: half of it is the mean age it adds, its inverse the frames a second.
 TURN_S = 0.01
@@ -56,7 +54,8 @@ class Stage:
         self._source: Callable[[], Source] | None = None
         self._feed: LiveFeed | None = None
         self._known = asyncio.Event()
-        self._news = asyncio.Event()
+        #: Set, and replaced, where there may be something to send.
+        self.news = asyncio.Event()
         self.statuses: list[str] = []
 
     def show_live(self, hello: Mapping[str, Any], feed: LiveFeed, pointer: HandPointer | None = None) -> None:
@@ -87,10 +86,6 @@ class Stage:
             self._feed.pump()
         return self._source()
 
-    async def news(self) -> None:
-        """Wait until there may be something to send."""
-        await self._news.wait()
-
     def let_go(self) -> None:
         """A hand that nobody leads any more leaves the tissue."""
         if self.leader is not None and self.pointer is not None:
@@ -111,7 +106,7 @@ class Stage:
                 self._wake()
 
     def _wake(self) -> None:
-        waiting, self._news = self._news, asyncio.Event()
+        waiting, self.news = self.news, asyncio.Event()
         waiting.set()
 
 
@@ -275,10 +270,7 @@ async def _serve_client(websocket: WebSocket, stage: Stage) -> None:
 async def _send(websocket: WebSocket, stage: Stage) -> None:
     """Hello, then frames as the client can take them."""
     source = await stage.source()
-    # the page is answered before numpy is read
-    from tissueid.viewer.feed import Client
-
-    websocket.state.client = client = Client(source, _name(websocket.scope))
+    websocket.state.client = client = Client(source)
     told = 0
     # gone while it was sent to: the hearing side ends the client
     with suppress(WebSocketDisconnect, RuntimeError):
@@ -291,7 +283,7 @@ async def _send(websocket: WebSocket, stage: Stage) -> None:
             frame = client.next_frame()
             if frame is not None:
                 await websocket.send_bytes(frame)
-            await stage.news()
+            await stage.news.wait()
 
 
 async def _hear(websocket: WebSocket, stage: Stage, name: str) -> None:
@@ -332,8 +324,6 @@ def _obey(websocket: WebSocket, stage: Stage, message: Any) -> tuple[int, str]:
     if asked is None or client is None or (asked.answer is not UNSET and not client.answer(asked.answer)):
         return NO_MESSAGE, "malformed message"
     if asked.play is not UNSET:
-        from tissueid.viewer.feed import Playback
-
         if not isinstance(client.source, Playback):
             return NOT_ALLOWED, "play refused: this is no log"
         client.source.play(asked.play)

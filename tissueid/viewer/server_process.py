@@ -16,10 +16,15 @@ import os
 import socket
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from tissueid.viewer.server import Stage
+import numpy as np
+
+from tissueid.haptics.ring import Ring
+from tissueid.haptics.shared_hand import SharedHand
+from tissueid.viewer.frames import LiveFeed, Playback, samples_of
+from tissueid.viewer.security import Access
+from tissueid.viewer.server import HandPointer, Stage, ViewerServer
 
 #: Below the servo and its owner, above nothing of the user's that waits.
 NICENESS = 5
@@ -56,14 +61,12 @@ class Owner:
         return found
 
 
-def obey(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> None:
+def obey(stage: Stage, words: dict[str, Any], owner: Owner) -> None:
     """Do what a line of the owner says, with the descriptors that came with it."""
     if "live" in words:
-        _show_live(stage, words["live"], descriptors)
+        _show_live(stage, words["live"], owner.descriptors())
     elif "log" in words:
         from tissueid.store.session_log import read_session_log
-        from tissueid.viewer.feed import Playback
-        from tissueid.viewer.frames import samples_of
 
         samples = samples_of(read_session_log(Path(words["log"]["path"])).records)
         stage.show_log(words["log"]["hello"], lambda: Playback(samples))
@@ -74,13 +77,6 @@ def obey(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> None:
 
 
 def _show_live(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> None:
-    import numpy as np
-
-    from tissueid.haptics.ring import Ring
-    from tissueid.haptics.shared_hand import SharedHand
-    from tissueid.viewer.feed import LiveFeed
-    from tissueid.viewer.server import HandPointer
-
     os.setpriority(os.PRIO_PROCESS, 0, max(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)))
     pointer = None
     if len(descriptors) > 1:
@@ -90,9 +86,6 @@ def _show_live(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> N
 
 
 async def _serve(link: socket.socket, listening: socket.socket) -> None:
-    from tissueid.viewer.security import Access
-    from tissueid.viewer.server import Stage, ViewerServer
-
     owner = Owner(link)
     first = owner.read()
     if not first:
@@ -103,13 +96,13 @@ async def _serve(link: socket.socket, listening: socket.socket) -> None:
     def heard() -> None:
         lines = owner.read()
         for words in lines or ():
-            obey(stage, words, owner.descriptors() if "live" in words else [])
+            obey(stage, words, owner)
         if lines is None:
             server.should_exit = True
             asyncio.get_running_loop().remove_reader(link)
 
     for words in first[1:]:
-        obey(stage, words, owner.descriptors() if "live" in words else [])
+        obey(stage, words, owner)
     link.setblocking(False)
     asyncio.get_running_loop().add_reader(link, heard)
     await server.serve(sockets=[listening])
