@@ -193,4 +193,4 @@ def server_of(session: Session) -> int:
     """Process number of a session's viewer."""
     children = Path(f"/proc/{session.process.pid}/task/{session.process.pid}/children").read_text().split()
     commands = {int(one): Path(f"/proc/{one}/cmdline").read_text() for one in children}
-    return next(number for number, command in commands.items() if "viewer.server_process" in command)
+    return next(number for number, command in commands.items() if "tissueid.viewer.server" in command)

@@ -28,7 +28,7 @@ from tissueid.rendering.plan import plan_session
 from tissueid.rendering.recorder import Recorder
 from tissueid.store.bundle import write_bundle
 from tissueid.store.session_log import SessionLog
-from tissueid.viewer import server_process, serving
+from tissueid.viewer import server, serving
 from tissueid.viewer.hello import band_of, check_log, hello, recording_beside, show_log, show_session
 from tissueid.viewer.security import LOOPBACK
 from tissueid.viewer.serving import ServedViewer, ViewerOptions, reach
@@ -104,7 +104,7 @@ def test_the_process_hears_its_owner_line_by_line(ring, hand):
     ours, theirs = socket.socketpair()
     listening = socket.create_server((LOOPBACK, 0))
     port = listening.getsockname()[1]
-    thread = threading.Thread(target=lambda: asyncio.run(server_process._serve(theirs, listening)))
+    thread = threading.Thread(target=lambda: asyncio.run(server._serve(theirs, listening)))
     live = {"hello": hello(head_of()), "rest_m": REST_M, "workspace_m": WORKSPACE_M}
     access = {"host": LOOPBACK, "port": port, "token": None, "tls": False}
     first = json.dumps({"access": access, "tls": None}) + "\n" + json.dumps({"status": {"one": 1}}) + "\n"
@@ -129,11 +129,7 @@ def test_the_process_hears_its_owner_line_by_line(ring, hand):
 
 
 def test_the_process_loads_no_compiler():
-    program = (
-        "import sys, tissueid.viewer.server_process, tissueid.viewer.server, tissueid.haptics.ring\n"
-        "import tissueid.haptics.shared_hand\n"
-        "print({'numba', 'scipy'} & set(sys.modules))\n"
-    )
+    program = "import sys, tissueid.viewer.server\nprint({'numba', 'scipy'} & set(sys.modules))\n"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert ended.stdout == "set()\n"
 
@@ -142,7 +138,7 @@ def test_an_owner_that_never_said_a_word_serves_nothing():
     ours, theirs = socket.socketpair()
     ours.close()
     listening = socket.create_server((LOOPBACK, 0))
-    asyncio.run(server_process._serve(theirs, listening))
+    asyncio.run(server._serve(theirs, listening))
     theirs.close()
     # nobody took the connection, which the system holds for whoever listens
     with socket.create_connection(listening.getsockname(), 1.0) as unheard:
@@ -181,8 +177,6 @@ def test_files_that_are_no_certificate_are_refused(tmp_path):
 
 
 def test_a_session_elsewhere_is_opened_once_it_answers(monkeypatch, tmp_path):
-    from tissueid.viewer import server
-
     (tmp_path / "index.html").write_text("a page", encoding="ascii")
     monkeypatch.setattr(server.viewer_app, "__kwdefaults__", {"bundle": tmp_path})
     with served(token="secret") as live:

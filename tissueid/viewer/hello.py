@@ -76,7 +76,7 @@ Workspace = Sequence[tuple[float, float]]
 #: Kinds of surfaces by the number in their block.
 SURFACES = ("plane", "sphere", "box")
 
-#: id, word, meaning, bits.
+#: id, word, meaning, bits; none of those that the page lights itself.
 LAMPS = (
     ("saturation", "Saturated", "the force is cut at the device's clamp", Lamp.CLIPPED | Lamp.RMS_LIMITED),
     ("passivity", "Passivity control", "the controller brakes: energy would be made", Lamp.PASSIVITY),
@@ -94,9 +94,6 @@ LAMPS = (
         "the device is silent, or answers late: less force, or none, until it answers in time",
         Lamp.SILENT | Lamp.LATENCY,
     ),
-)
-#: Those that the page lights itself.
-OWN_LAMPS = (
     ("stale", "Stale", "nothing new has come", 0),
     ("fault", "Fault", "the device is off", 0),
     ("recording", "Recording stopped", "the session goes on unrecorded", 0),
@@ -189,7 +186,7 @@ def hello(
         "words": _words(head, replayed=replay_s is not None, pointer=pointer),
         "lamps": [
             {"id": name, "word": word, "meaning": meaning, "bits": int(bits)}
-            for name, word, meaning, bits in (*LAMPS, *OWN_LAMPS)
+            for name, word, meaning, bits in LAMPS
             if name not in TISSUE_LAMPS or head["environment"] == "tissue"
         ],
         "states": {int(state): state.name.lower() for state in State},

@@ -82,7 +82,7 @@ class ServedViewer:
         self.silent_s: Callable[[], float] = lambda: 0.0
         self._lost = False
         theirs, self._link = socket.socketpair()
-        command = own_process("tissueid.viewer.server_process", str(theirs.fileno()), str(listening.fileno()))
+        command = own_process("tissueid.viewer.server", str(theirs.fileno()), str(listening.fileno()))
         try:
             # our own interpreter and module; a session of its own, so that Ctrl-C is the owner's alone
             self._process = subprocess.Popen(  # noqa: S603
