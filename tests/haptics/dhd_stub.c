@@ -13,7 +13,6 @@ static int answer(signed char identity) {
 }
 void dhdGetSDKVersion(int *major, int *minor, int *release, int *revision) { *major = stub_major; *minor = 17; *release = 5; *revision = 1; }
 int dhdOpenType(int type) { if (type != 60 || stub_fails) return -1; stub_open = 1; return 5; }
-int dhdGetSystemType(signed char identity) { return answer(identity) < 0 ? -1 : 60; }
 int dhdGetStatus(int status[16], signed char identity) { memset(status, 0, 16 * sizeof status[0]); status[3] = stub_homed; return answer(identity); }
 int dhdGetPosition(double *x, double *y, double *z, signed char identity) { *x = stub_position[0]; *y = stub_position[1]; *z = stub_position[2]; return answer(identity); }
 int dhdSetForce(double x, double y, double z, signed char identity) { stub_force[0] = x; stub_force[1] = y; stub_force[2] = z; return answer(identity); }

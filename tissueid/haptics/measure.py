@@ -391,17 +391,13 @@ def _balance(motion: Motion, begin: float, delay_s: float) -> tuple[FloatArray, 
     time = motion.time_s[inside]
     place, speed = _smooth(time, motion.position_m[inside, ALONG])
     impulse = _impulse(motion, time - delay_s)
-    rows, right = [], []
-    last = len(time) - HALF_WIDTH - 1
-    for i in range(HALF_WIDTH, last - WINDOW, WINDOW):
-        j = i + WINDOW
-        # a window in which the grip turns or rests has no direction
-        if np.min(np.abs(speed[i : j + 1])) < SLOW:
-            continue
-        dt = time[j] - time[i]
-        rows.append([speed[j] - speed[i], place[j] - place[i], math.copysign(dt, speed[i]), -dt])
-        right.append(impulse[j] - impulse[i])
-    return np.array(rows).reshape(-1, 4), np.array(right)
+    begins = np.arange(HALF_WIDTH, len(time) - HALF_WIDTH - 1 - WINDOW, WINDOW)
+    # a window in which the grip turns or rests has no direction
+    i = begins[sliding_window_view(np.abs(speed), WINDOW + 1)[begins].min(axis=1) >= SLOW]
+    j = i + WINDOW
+    dt = time[j] - time[i]
+    rows = np.column_stack([speed[j] - speed[i], place[j] - place[i], np.copysign(dt, speed[i]), -dt])
+    return rows, impulse[j] - impulse[i]
 
 
 def _smooth(time: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:

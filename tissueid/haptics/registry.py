@@ -128,19 +128,14 @@ def environment_law(name: str) -> Callable[..., Any]:
     raise UsageError(msg)
 
 
-def _detected(names: Iterable[str]) -> Iterator[DetectedDevice]:
-    """Devices these find; one that can't be loaded hides no other."""
-    for name in names:
+def detect_all(names: Iterable[str] | None = None) -> Iterator[DetectedDevice]:
+    """Devices found, of these names or all, and what stands in their way; none that fails hides another."""
+    for name in device_names() if names is None else names:
         try:
             found = device_class(name).detect()
         except DeviceError as error:
             found = [DetectedDevice(name, "this program", error.message)]
         yield from found
-
-
-def detect_all() -> Iterator[DetectedDevice]:
-    """Every device found on this machine, with what stands in its way."""
-    return _detected(device_names())
 
 
 def choose_device(name: str = AUTO) -> Choice:
@@ -149,7 +144,7 @@ def choose_device(name: str = AUTO) -> Choice:
         device_class(name)
         return Choice(name, f"device {name}: asked for by name")
     hindered = []
-    for found in _detected((*HARDWARE, *sorted(_plugins(DEVICE_GROUP)))):
+    for found in detect_all((*HARDWARE, *sorted(_plugins(DEVICE_GROUP)))):
         if not found.note:
             return Choice(found.name, f"device {found.name}: found at {found.where}")
         hindered.append(f"{found.name} at {found.where}: {found.note}")

@@ -50,7 +50,6 @@ DONE, TIME_GUARD, SATURATED = 0, 1, 2
 _PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     "dhdGetSDKVersion": (None, [POINTER(c_int)] * 4),
     "dhdOpenType": (c_int, [c_int]),
-    "dhdGetSystemType": (c_int, [c_byte]),
     "dhdGetStatus": (c_int, [POINTER(c_int), c_byte]),
     "dhdGetPosition": (c_int, [POINTER(c_double)] * 3 + [c_byte]),
     "dhdSetForce": (c_int, [c_double] * 3 + [c_byte]),
