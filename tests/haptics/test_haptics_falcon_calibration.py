@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import asdict, replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
@@ -17,8 +21,18 @@ from tissueid.haptics.falcon.calibration import (
     save_calibration,
 )
 from tissueid.haptics.falcon.device import limits_of
-from tissueid.haptics.falcon.kinematics import GEOMETRIES, Geometry, torque
+from tissueid.haptics.falcon.kinematics import (
+    DEFAULT_GEOMETRY,
+    GEOMETRIES,
+    Geometry,
+    forward,
+    inverse,
+    torque,
+)
+from tissueid.haptics.falcon.transport import UDEV_RULE
 from tissueid.haptics.limits import UNCALIBRATED_N, WORST_UNITS_PER_NM
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "devices.md").read_text(encoding="utf-8")
 
 
 def test_what_is_saved_is_loaded(tmp_path):
@@ -144,3 +158,23 @@ def test_motors_have_no_more_torque_than_the_clamp_needs_in_the_middle(geometry)
     assert torques == pytest.approx(arms[0] * calibration.clamp_N, rel=0.05)
     assert torques / arms[-1] < 2.0 * calibration.clamp_N
     assert limits_of(calibration).motor_clamp == calibration.clamp_units
+
+
+def test_every_key_and_the_rule_for_its_link_stand_on_the_page():
+    rows = dict(re.findall(r"^\| `(\w+)` \| `?([\w.]+)`? \|", PAGE, flags=re.MULTILINE))
+    said = {bool: lambda value: str(value).lower(), float: "{:g}".format, tuple: lambda _: "zeros", str: str}
+    calibration = asdict(Calibration())
+    assert not any(calibration["weight_N"] + calibration["weight_slope_N_per_m"])
+    for key, value in calibration.items():
+        assert rows[key] == said[type(value)](value)
+    assert UDEV_RULE in PAGE
+
+
+def test_a_wrong_zero_angle_shows_on_a_ruler_as_the_page_says():
+    true, wrong = DEFAULT_GEOMETRY, replace(DEFAULT_GEOMETRY, zero_angle_deg=36.0)
+    counts = [(inverse([0.0, 0.0, z]) - np.radians(35.0)) / true.radians_per_count for z in (0.182, 0.132)]
+    shown = [
+        forward(np.radians(36.0) + true.radians_per_count * count, geometry=wrong)[2] for count in counts
+    ]
+    (less,) = re.findall(r"falls by about ([\d.]+) mm less", PAGE)
+    assert 50.0 - 1e3 * (shown[0] - shown[1]) == pytest.approx(float(less), abs=0.1)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
+from types import ModuleType
 
 import fake_device
 import numpy as np
@@ -18,7 +20,7 @@ from tissueid.haptics.device import AskedDevice, DetectedDevice, HapticDevice
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import State
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "devices.md"
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "devices.md").read_text(encoding="utf-8")
 
 BROKEN = EntryPoint("broken", "no_such_distribution:Device", registry.DEVICE_GROUP)
 NO_DEVICE = EntryPoint("nothing", "fake_device:law", registry.DEVICE_GROUP)
@@ -48,7 +50,7 @@ def test_a_built_in_device_is_told_of_found_or_not_and_closed_until_it_is_opened
     kind = registry.device_class(name)
     assert issubclass(kind, HapticDevice)
     assert kind.name == name
-    assert f"| `{name}` |" in PAGE.read_text(encoding="utf-8")
+    assert f"\n| `{name}` |" in PAGE
     assert all(one.name == name for one in kind.detect())
     device = kind(**kind.configured(AskedDevice()))
     assert device.state is State.CLOSED
@@ -126,3 +128,41 @@ def test_a_force_law_of_another_distribution_is_found(request):
         registry.environment_law("magnet")
     with pytest.raises(DeviceError, match=r"'number'.*tuple, not a function"):
         registry.environment_law("number")
+
+
+class Driver:
+    """The page's my_driver."""
+
+    pushed: tuple[float, ...] | None = None
+
+    def read(self) -> tuple[list[float], int]:
+        return [0.0, 0.0, 0.13], 4
+
+    def push(self, *force: float) -> None:
+        self.pushed = force
+
+    def close(self) -> None:
+        pass
+
+
+def test_plug_in_of_the_page_runs_behind_the_guard(monkeypatch):
+    driver = Driver()
+    module = ModuleType("my_driver")
+    module.open = lambda: driver
+    module.places = lambda: ["/dev/input/js0"]
+    monkeypatch.setitem(sys.modules, "my_driver", module)
+    (block,) = re.findall(r"^```python\n(.*?)^```$", PAGE, flags=re.MULTILINE | re.DOTALL)
+    found: dict[str, object] = {}
+    exec(compile(block, "joystick.py", "exec"), found)
+    kind = found["Joystick"]
+    assert isinstance(kind, type)
+    assert issubclass(kind, HapticDevice)
+    assert [one.where for one in kind.detect()] == ["/dev/input/js0"]
+    with kind() as device:
+        for _ in range(60):
+            device.read()
+            device.write_force(np.array([0.0, 0.0, 50.0]), 1e-3)
+        assert device.state is State.ARMED
+        assert driver.pushed == (0.0, 0.0, 0.0)
+        assert device.compiled() is None
+    assert 'tissueid.devices"]' in PAGE
