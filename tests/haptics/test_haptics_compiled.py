@@ -15,7 +15,6 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
-from c_library import compiled as in_c
 from guarded import FREE
 from numba.core.errors import NumbaError
 from rendered_tissues import PAPER_A, TWO_BRANCHES, pressed, walk
@@ -119,8 +118,8 @@ def save(path: str) -> None:
 
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_numba_and_c_agree_bit_for_bit(tmp_path, seed):
-    library = in_c(REFERENCE, tmp_path, "-O2", "-ffp-contract=off")
+def test_numba_and_c_agree_bit_for_bit(tmp_path, c_library, seed):
+    library = c_library(REFERENCE, tmp_path, "-O2", "-ffp-contract=off")
     reference = ctypes.CDLL(str(library)).reference_guard
     array = np.ctypeslib.ndpointer(np.float64, flags="C")
     reference.argtypes, reference.restype = [array, array, array, ctypes.c_double, array], None

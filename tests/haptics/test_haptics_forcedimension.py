@@ -31,22 +31,21 @@ def test_sdk_is_looked_for_where_its_documentation_puts_it(monkeypatch, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("library_name", "reason"),
-    [("none.so", r"not installed.* FDSDK .*TISSUEID_FORCEDIM"), ("libc.so.6", "has no dhdGetSDKVersion")],
+    ("library_name", "stub", "reason"),
+    [
+        ("none.so", {}, r"not installed.* FDSDK .*TISSUEID_FORCEDIM"),
+        ("libc.so.6", {}, "has no dhdGetSDKVersion"),
+        (None, {"major": 2}, r"is 2\.17\.5\.1; 3\.16 or newer"),
+        (None, {"fails": 1}, "no device found"),
+    ],
 )
-def test_without_sdk_nothing_is_detected_and_opening_says_why(monkeypatch, library_name, reason):
-    monkeypatch.setenv(LIBRARY_VARIABLE, library_name)
-    assert ForceDimensionDevice.detect() == []
-    with pytest.raises(DeviceError, match=reason):
-        ForceDimensionDevice().open()
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "reason"),
-    [("major", 2, r"is 2\.17\.5\.1; 3\.16 or newer"), ("fails", 1, "no device found")],
-)
-def test_an_old_sdk_and_one_without_a_device_are_told(sdk, name, value, reason):
-    sdk[name] = value
+def test_without_an_sdk_of_use_nothing_is_detected_and_opening_says_why(
+    sdk, monkeypatch, library_name, stub, reason
+):
+    for name, value in stub.items():
+        sdk[name] = value
+    if library_name is not None:
+        monkeypatch.setenv(LIBRARY_VARIABLE, library_name)
     assert ForceDimensionDevice.detect() == []
     with pytest.raises(DeviceError, match=reason):
         ForceDimensionDevice().open()
