@@ -18,7 +18,7 @@
 #include <sys/prctl.h>
 #include <time.h>
 
-/* memory and limits of the guard: tissueid/haptics/guard_states.py, tissueid/haptics/limits.py */
+/* memory and limits of the guard: tissueid/haptics/guard.py, tissueid/haptics/limits.py */
 enum { STATE, FAULT, LAMPS, PREVIOUS, FAULT_FORCE = 6, FAULT_AGE = 9, VELOCITY, GAIN = 13, PHASE, RISE_RATE,
        PENDING, DAMPED, WANTED, READY, PENETRATION, SILENT = 23, STILL, STILL_FORCE, STILL_CHANGE = 28, MEAN_SQUARE,
        LET_GO, DELAYED = 32 };

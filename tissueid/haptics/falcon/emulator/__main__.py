@@ -17,7 +17,7 @@ from tissueid.haptics.falcon.emulator.machine import FAULT_KINDS, PULLED_M, Emul
 from tissueid.haptics.hand import PRESETS, Hand, preset, scripted_hand
 
 #: Surface that the hand of an emulator aims at [m]: the middle of the workspace, seen from the user.
-SURFACE_M = np.array([0.0, 0.0, 0.130])
+SURFACE_M = (0.0, 0.0, 0.130)
 INWARD = np.array([0.0, 0.0, -1.0])
 #: Ends of a sweep along z [m], and the time from one to the other [s].
 SWEEP_M = (0.165, 0.110)
@@ -58,8 +58,7 @@ def _arguments(given: list[str] | None) -> argparse.Namespace:
 
 
 def _hand(options: argparse.Namespace) -> Hand | None:
-    surface = SURFACE_M.copy()
-    surface[2] = options.surface_mm * 1e-3
+    surface = np.array([*SURFACE_M[:2], options.surface_mm * 1e-3])
     if options.script is not None:
         return scripted_hand(
             options.script, motion_scale=options.motion_scale, surface_m=surface, inward=INWARD
@@ -67,8 +66,7 @@ def _hand(options: argparse.Namespace) -> Hand | None:
     if options.hand is not None:
         return preset(options.hand, surface_m=surface, inward=INWARD, depth_m=options.depth_mm * 1e-3)
     if options.free:
-        middle = (float(SURFACE_M[0]), float(SURFACE_M[1]), float(SURFACE_M[2]))
-        return Hand((0.0, 1.0, 1.5), (PULLED_M, middle, middle), (1.0, 1.0, 0.0))
+        return Hand((0.0, 1.0, 1.5), (PULLED_M, SURFACE_M, SURFACE_M), (1.0, 1.0, 0.0))
     return _sweep() if options.sweep else None
 
 
