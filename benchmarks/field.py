@@ -188,10 +188,7 @@ FLAT = SPHERE.replace("sphere", "flat").replace("20.0", "5.0")
 #: Makers with the flags of which one is due.
 MECHANISMS: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "none": (_case(logs=HOLDS), ()),
-    "first push 20 % stiffer": (
-        _case(logs=HOLDS, each=_first),
-        ("order_effect",),
-    ),
+    "first push 20 % stiffer": (_case(logs=HOLDS, each=_first), ("order_effect",)),
     "damage of 5 % a push": (_case(logs=HOLDS, each=_damaged), ("order_effect",)),
     "rigid base": (_case(each=_all_bent(_base)), ("discrepancy", "misfit")),
     "drainage at four depths": (_drained, ("poroelastic",)),

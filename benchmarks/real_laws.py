@@ -28,15 +28,7 @@ from real_baselines import (
     fit_own,
     nrmsd,
 )
-from real_prediction import (
-    NO_MODEL,
-    USUAL_ORDER,
-    carried,
-    foreign_error,
-    hold_error,
-    multiplied,
-    no_model,
-)
+from real_prediction import NO_MODEL, USUAL_ORDER, carried, foreign_error, hold_error, multiplied, no_model
 from real_recordings import Found, Recording, fit_of, left_out, tell
 
 Array = NDArray[np.float64]

@@ -7,15 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from real_baselines import (
-    FittedLaw,
-    Log,
-    Paper,
-    cone_weights,
-    counted_force,
-    rest_states,
-    rms,
-)
+from real_baselines import FittedLaw, Log, Paper, cone_weights, counted_force, rest_states, rms
 from scipy.optimize import least_squares
 
 Array = NDArray[np.float64]

@@ -269,10 +269,7 @@ def wall(*, controller: bool) -> Figures:
         damping_N_s_per_m=0.1, rest_s=0.6,
     )  # fmt: skip
     device = SimulatedDevice(
-        LIMITS,
-        arm=Arm(damping_N_s_per_m=0.0, friction_N=0.0),
-        hand=hand,
-        delay_ticks=2.0,
+        LIMITS, arm=Arm(damping_N_s_per_m=0.0, friction_N=0.0), hand=hand, delay_ticks=2.0
     )
     drawn = {"resting": False, "near": False, "share_of_bound": np.inf}
     return in_closed_loop(device, tissue, 0.02, np.full(2300, 1e-3), controller=controller, **drawn)

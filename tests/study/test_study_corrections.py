@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import write_csv
+from corrected_lab import corrected
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -93,33 +93,6 @@ def test_any_reason_and_number_come_back_as_they_were(because, value):
 
 
 # --- the recordings -----------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def lab(tmp_path):
-    """1 mm of air, 3 mm at 1 mm/s, a hold of 10 s."""
-    time = np.arange(0.0, 14.0, 0.02)
-    x = np.minimum(time, 4.0)
-    depth = np.maximum(x - 1.0, 0.0)
-    force = 2.0 * depth * (1.0 + np.where(time < 4.0, 1.0, np.exp(-(time - 4.0) / 2.0)))
-    force += np.random.default_rng(2).normal(0.0, 0.002, time.size)
-    for name in ("a.csv", "b.csv"):
-        write_csv(tmp_path / name, time, x, force)
-    return tmp_path
-
-
-def corrected(lab: Path) -> CorrectedInspection:
-    manifest = lab / "study.toml"
-
-    def inspect() -> Inspection:
-        study = read_study(manifest) if manifest.exists() else None
-        found = Inspection(SegmentOptions(), study, lab, drawn=True)
-        for name in ("a.csv", "b.csv"):
-            for trial in read_trials(lab / name):
-                found.add(trial)
-        return found
-
-    return CorrectedInspection(manifest, inspect, ReadOptions())
 
 
 def decide(shown: CorrectedInspection, lab: Path, key: str, value: Any, because="seen", file="a.csv") -> str:

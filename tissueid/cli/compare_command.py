@@ -10,15 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tissueid import __version__
 from tissueid.cli.flags import ABOVE_0, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import (
-    checked,
-    echo_lines,
-    made_folder,
-    note,
-    progress_bar,
-    tell,
-    write_output,
-)
+from tissueid.cli.output import checked, echo_lines, made_folder, note, progress_bar, tell, write_output
 from tissueid.cli.reading import ReadingFlags, read_all, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents import plain, typed

@@ -56,9 +56,10 @@ def trial_label(trial: Placed) -> str:
     return name if trial.sheet is None else f"{name} [{trial.sheet}]"
 
 
-def whole_label(trial: Placed) -> str:
-    """Path of a trial, and its sheet where there is one."""
-    return trial.path if trial.sheet is None else f"{trial.path} [{trial.sheet}]"
+def whole_label(trial: Placed, folder: str = "") -> str:
+    """Path of a trial, without a folder in front, and its sheet where there is one."""
+    path = trial.path.removeprefix(folder)
+    return path if trial.sheet is None else f"{path} [{trial.sheet}]"
 
 
 def counted(count: int, noun: str, ending: str = "s") -> str:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.decided import as_decided
 from tissueid.documents import plain, typed
 from tissueid.documents.rupture import Change, LeftOut, Rupture
 from tissueid.documents.rupture import Test as Failure

@@ -13,15 +13,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from tissueid.errors import BundleError, refuse
-from tissueid.study.tasks import (
-    Fault,
-    Futures,
-    Outcome,
-    Started,
-    Task,
-    attempt_beside_others,
-    versions,
-)
+from tissueid.study.tasks import Fault, Futures, Outcome, Started, Task, attempt_beside_others, versions
 
 #: Tasks in hand for every worker: one is computed while the next waits beside it.
 IN_HAND = 2
