@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from tissueid import IdentifyOptions, PosteriorOptions, identify, read_trials
-from tissueid.rendering.options import as_tissue
-from tissueid.rendering.options import PRESETS
+from tissueid.rendering.options import PRESETS, as_tissue
 from tissueid.rendering.tissue_block import Tissue
 from tissueid.store.bundle import load_bundle
 
