@@ -37,7 +37,7 @@ def typical(model: ChannelModel) -> np.ndarray:
         branch = int(spec.name.rpartition("_b")[2]) if "_b" in spec.name else 1
         if not isinstance(one, Shape):
             value = next((v for start, v in SIZES.items() if spec.name.startswith(start)), SIZE) / branch
-        elif one.is_time:
+        elif one.spec.unit == "s":
             value = TIME_S * SLOWER ** (branch - 1)
         else:
             value = float(np.exp(np.median(np.log(one.starts)))) / branch

@@ -279,3 +279,16 @@ def test_one_remark_on_the_form_is_enough():
     assert _one_form((program, window, other)) == (window, other)
     assert _one_form((program, other)) == (program, other)
     assert _one_form((other,)) == (other,)
+
+
+@pytest.mark.parametrize(("times", "rate_Hz"), [((0.3, 5.0, 80.0), 50.0), ((0.2, 4.0, 60.0), 20.0)])
+def test_a_third_time_is_found_beside_two_that_lie_between_nodes(times, rate_Hz):
+    """Noise of 0.05 of some 400 N: a pair between nodes misses more than a third branch gains from either."""
+    three = tuple(Branch((stiffness,), tau) for stiffness, tau in zip((20.0, 10.0, 10.0), times, strict=True))
+    hold = (Log("hold", (Move(8.0, 240.0), Hold(300.0))),)
+    plan = small_recipe(branches=three, logs=hold, rate_Hz=rate_Hz, sigma_N=0.05)
+    ours = identified(
+        handles_for(draw(plan, 1), sd_mm=0.02), branches=(1, 2, 3), degrees=(0, 1), machine=True
+    )
+    assert ours.law.branches == 3
+    assert np.exp(np.sort(ours.optimum.point.log_times)) == pytest.approx(times, rel=0.01)

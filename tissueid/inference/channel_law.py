@@ -151,7 +151,7 @@ class ChannelLaw:
     def bounds(self, low: float, high: float) -> tuple[FloatArray, FloatArray]:
         """Bounds of the logarithms, (t,) each, times between ``low`` and ``high``."""
         ends = [
-            (low, high) if one.is_time else (float(np.log(one.spec.lower)), float(np.log(one.spec.upper)))
+            (low, high) if one.spec.unit == "s" else tuple(np.log((one.spec.lower, one.spec.upper)).tolist())
             for one in self.shapes
         ]
         return np.array([one[0] for one in ends]), np.array([one[1] for one in ends])

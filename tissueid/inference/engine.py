@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.blocks import Blocks
 from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law, law_of
 from tissueid.inference.choice import (
@@ -123,6 +124,7 @@ class _Fitting:
     def __init__(self, base: System, request: Request, least_N: float, step_s: float) -> None:
         self.base, self.request, self.least_N, self.step_s = base, request, least_N, step_s
         self.scatter, laws = WIDE, request.candidates
+        self.times: dict[tuple[int, int], FloatArray] = {}  # ln times by order of the Kelvin-Voigt law
         # of laws without a Kelvin-Voigt one, the noise and the logs' differences are told by the freest
         told = [] if laws.paper is not None else [self.named(one) for one in laws.laws if not one.mark]
         self.freest = max(told, key=lambda law: law.freedom, default=None)
@@ -161,13 +163,17 @@ class _Fitting:
     def candidate(self, law: ChannelLaw, memory: Memory) -> tuple[System, Optimum]:
         """The best of several starts."""
         system = self.base.under(law)
-        starts = starting_points(system, law, self.at, whitener_of(system, memory))
+        at = replace(self.at, log_times=self.times.get((law.branches - 1, law.degree), self.at.log_times))
+        starts = starting_points(system, law, at, whitener_of(system, memory))
         found = list[tuple[float, Optimum]]()
         for start in starts:
             least = min((reached for reached, _ in found), default=np.inf)
             one = self.minimise(system, start, memory, LOOK_STEPS, least)
             found.append((badness(system, one), one))
-        return system, min(found, key=itemgetter(0))[1]
+        best = min(found, key=itemgetter(0))[1]
+        if law.model_of is None:
+            self.times[law.branches, law.degree] = best.point.log_times
+        return system, best
 
     def learn_scatter(self, branches: int, degree: int) -> None:
         """Estimate how much logs differ, and where each stands."""

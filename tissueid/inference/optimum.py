@@ -356,7 +356,9 @@ def minimise(
         if largest < STILL and gain < NO_GAIN:
             converged = True
             break
-        slow = slow + 1 if _is_slow(system, here, gain, rival) else 0
+        # a search that only compares ends where steps gain little
+        behind = np.inf if rival is None else CATCHING_UP * (_criterion(system, here) - rival)
+        slow = slow + 1 if rival is not None and gain < max(LITTLE, behind) else 0
         if slow == SLOW_STEPS:
             break
     hessian = here.normal.hessian.copy()
@@ -365,11 +367,6 @@ def minimise(
         point=here.point, normal=here.normal, prior=here.prior, noise=Noise(here.noise_N, memory),
         covariance=covariance_of(hessian), converged=converged, active=_active(here.prior, here.point.shared),
     )  # fmt: skip
-
-
-def _is_slow(system: System, here: _At, gain: float, rival: float | None) -> bool:
-    """True of a step that gains little, of a search that only compares."""
-    return rival is not None and gain < max(LITTLE, CATCHING_UP * (_criterion(system, here) - rival))
 
 
 def _is_astray(system: System, here: _At, there: _At, *, scaled: bool) -> bool:

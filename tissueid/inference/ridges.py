@@ -75,17 +75,14 @@ class Ridge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ridges:
-    """Curves that a posterior follows.
+    """Curves that a posterior follows."""
 
-    ``lines``: of a single log, the frame's first: coordinates less what they do in proportion to its own,
-    (size,); ``widths``: root of the covariance of all but the machine, (r, r), lower, along the frame of a
-    single log or the scatter of gains; ``ln_scale``: of the best common scale of several logs along that;
-    ``quantiles``: coordinates by their places, over standard normal ones.
-    """
-
+    #: Of a single log, the frame's first: coordinates less what they do in proportion to its own, (size,).
     lines: tuple[Ridge, ...] = ()
+    #: Root of the covariance of all but the machine, (r, r), lower, along the frame or the scatter of gains.
     widths: Ridge | None = None
-    ln_scale: Ridge | None = None
+    ln_scale: Ridge | None = None  # of several logs, the best along the scatter of gains
+    #: Coordinates by their places, over standard normal ones.
     quantiles: Mapping[int, PchipInterpolator] = field(default_factory=dict)
 
 

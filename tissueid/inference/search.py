@@ -83,24 +83,32 @@ def _generators(law: ChannelLaw) -> FloatArray:
 
 
 def starting_points(system: System, law: ChannelLaw, at: Point, white: Whitener) -> list[Point]:
-    """Points to start from, the best first; machine and what is the logs' own are those of ``at``."""
+    """Points to start from, the best first; machine and what is the logs' own are those of ``at``.
+
+    A third branch is also added to two times of ``at``: between nodes pairs miss more than it gains.
+    """
     if law.inside or law.times == 0 or law.fixed_s.size or not law.relaxation.branches:
         return _of_grid(system, law, at, white)
     low, high = time_bounds(system)
-    nodes = np.linspace(low + 0.5, high - 0.5, NODES)
+    pair = at.log_times if at.log_times.size == law.branches - 1 > 1 else np.zeros(0)
+    nodes = np.append(np.linspace(low + 0.5, high - 0.5, NODES), pair)
     target, out = white(system.force), []
     for shapes in product(*[np.log(one.starts) for one in law.shapes[law.branches :]]):
         # another number of exponentials, for columns only
-        every = replace(law, branches=NODES, model_of=None)
+        every = replace(law, branches=nodes.size, model_of=None)
         columns = observed_columns(system, every, np.concatenate([nodes, shapes]), at)
         problem = _Combinations(white(columns), target, law.static_size, law.powers)
         to = _generators(law)
-        for chosen in _ranked(_misfits(problem, law.branches), STARTS[law.branches]):
+        ranked = [*_ranked(_misfits(problem, law.branches), STARTS[law.branches])]
+        if pair.size:
+            added = [(k, *range(NODES, nodes.size)) for k in range(NODES)]
+            ranked.append(min(added, key=lambda one: problem.solve(one)[0]))
+        for chosen in ranked:
             value, coefficients = problem.solve(chosen)
             times = np.concatenate([nodes[list(chosen)], shapes])
             out.append((value, Point(times, at.machine, to @ coefficients, at.own)))
     out.sort(key=lambda one: one[0])
-    return [point for _, point in out[: STARTS[law.branches]]]
+    return [point for _, point in out[: STARTS[law.branches] + (pair.size > 0)]]
 
 
 def _misfits(problem: _Combinations, branches: int) -> dict[tuple[int, ...], float]:

@@ -270,12 +270,9 @@ class SpecimenTarget:
 
     def bent(self, z: FloatArray) -> FloatArray:
         """Whitened points -> points with the cut machine as quantiles of its prior, (n, d) -> (n, d)."""
-        at = self.cut_places
-        if at.size == 0:
-            return z
         out, x = np.array(z), self.mode[self.free] + z @ self.root.T
-        for k, one in enumerate(self._cut.values()):
-            out[:, k] = _coordinate(one, x[:, at[k]])
+        for k, (at, one) in enumerate(zip(self.cut_places, self._cut.values(), strict=False)):
+            out[:, k] = _coordinate(one, x[:, at])
         return out
 
     def _bent(self, x: FloatArray) -> FloatArray:

@@ -29,11 +29,6 @@ class Shape:
     spec: ParameterSpec  # with the bounds of the search; of a time they follow the recordings
     starts: tuple[float, ...] = ()  # of a search; none for a time
 
-    @property
-    def is_time(self) -> bool:
-        """True where bounds and starts follow the recordings."""
-        return self.spec.unit == "s"
-
 
 class Described(Protocol):
     """A part of a contact model."""
