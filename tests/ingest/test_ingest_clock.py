@@ -88,6 +88,17 @@ def test_a_rate_is_no_column_where_one_has_that_name_or_the_time_is_there(tmp_pa
         assert "time_counted" not in codes(trial)
 
 
+def test_a_column_that_rises_is_asked_about_and_a_count_of_rows_is_none(tmp_path: Path) -> None:
+    head = f"Sampling rate,100 Hz\nKanal,{NAMES}"
+    for step, read_ in ((0.02, False), (1, True)):
+        rows = "".join(f"{step * row:g},{line}\n" for row, line in enumerate(ROWS.splitlines()))
+        path = put(tmp_path / "a.csv", head + rows)
+        if read_:
+            assert "time_counted" in codes(read(path))
+        else:
+            assert "'Kanal'" in str(refusal(path))
+
+
 @pytest.mark.parametrize("multi", ["Yes", "No"])
 def test_labview_without_x_columns_is_counted_by_its_own_interval(tmp_path: Path, multi: str) -> None:
     names, first = ("X_Value\t", "\t") if multi == "Yes" else ("", "")

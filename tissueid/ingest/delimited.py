@@ -8,14 +8,23 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import pairwise
 
 from tissueid.errors import InputError
 from tissueid.ingest.appended import Part, recordings
 from tissueid.ingest.body import read_body
 from tissueid.ingest.clock import stated_interval
-from tissueid.ingest.columns import ColumnChoice, channel_names, choose_columns, has_channels, split_name
+from tissueid.ingest.columns import (
+    ColumnChoice,
+    channel_columns,
+    channel_names,
+    choose_columns,
+    has_channels,
+    split_name,
+)
 from tissueid.ingest.header import header_entries, protocol_of, specimen_in
 from tissueid.ingest.layout import Layout, split_line
+from tissueid.ingest.numbers import parse_number
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
@@ -25,6 +34,8 @@ from tissueid.ingest.vocabulary import CHANNELS, is_comment_name, plain_words, s
 
 _GROUPED_KEY = re.compile(r"[^:]{1,40} : \S.*")
 _BLUEHILL_PATH = re.compile(r"\.is_[a-z]+(?:_RawData|_Exports)?(?:[/\\.]|$)|RawData", re.IGNORECASE)
+#: Rows in which a time of another name is looked for.
+_ROWS_LOOKED_AT = 20
 _TESTXPERT_WORDS = re.compile(r"standard (?:force|travel)|(?:force|course) standard|standard(?:kraft|weg)")
 
 
@@ -117,11 +128,24 @@ def _counted(
     first = split_line(text.decode(text.data[layout.offset :].split(b"\n", 1)[0]), layout.delimiter)
     cells = zip(layout.names, (*first, *[""] * layout.n_columns), strict=False)
     names = tuple(name if cell.strip() else "" for name, cell in cells)
-    if channel_names(names, layout.units, "time", options):
+    if channel_names(names, layout.units, "time", options) or _rises(text, layout, options):
         return layout, options
     return replace(layout, names=names), replace(
         options, columns={**options.columns, "time": f"{stated!r} s"}
     )
+
+
+def _rises(text: Text, layout: Layout, options: ReadOptions) -> bool:
+    """True where another column rises from row to row, and is no count of rows: the time, named otherwise."""
+    taken = channel_columns(layout.names, options).values()
+    lines = text.data[layout.offset :].split(b"\n", _ROWS_LOOKED_AT)[:_ROWS_LOOKED_AT]
+    rows = [split_line(text.decode(line), layout.delimiter) for line in lines if line.strip()]
+    for index in range(layout.n_columns):
+        cells = [parse_number(row[index], layout.decimal) for row in rows if index < len(row)]
+        steps = {b - a for a, b in pairwise(one for one in cells if isinstance(one, float))}
+        if index not in taken and layout.numeric[index] and min(steps, default=0.0) > 0.0 and steps != {1.0}:
+            return True
+    return False
 
 
 def _refuse_unnamed(layout: Layout, printed: int, place: Place) -> None:
