@@ -21,6 +21,7 @@ from scipy.linalg import null_space
 from scipy.optimize import minimize
 
 from tissueid.inference.channel_law import kelvin_voigt_law
+from tissueid.inference.engine import refit
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import covariance_of, minimise, nearest_in_cone, prior_cost
 from tissueid.inference.prior import Scatter, bernstein, calibration_priors, prior_rows, suited, time_bounds
@@ -29,6 +30,7 @@ from tissueid.manifest import Calibration, FrameCurve
 from tissueid.model.base import ContactPath
 from tissueid.model.frame import linear_frame
 from tissueid.priors import CALIBRATION_DEFAULTS, WEAK_FACTOR, CalibrationPrior, Priors, SpreadPrior
+from tissueid.synth import Hold, Log, Move
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -130,6 +132,19 @@ def test_an_optimum_on_the_cone_is_passive_and_no_better_point_is():
         constraints={"type": "ineq", "fun": lambda by: slack + rows @ by},
     )  # fmt: skip
     assert objective(np.zeros(free.size)) <= there.fun + 0.02
+
+
+def test_a_frame_of_which_little_is_known_is_found_along_its_bent_valley():
+    """Frame and polynomials trade places over many standard errors before one of them fits worse."""
+    plan = small_recipe(rate_Hz=100.0, sigma_N=0.02, logs=(Log("one", (Move(8.0, 240.0), Hold(20.0))),))
+    ours = identified(handles_for(draw(plan, 1), sd_mm=0.02), machine=True)
+    found, start = ours.optimum, ours.optimum.point.shared
+    start[ours.law.times] += 1e-3
+    begun = ours.optimum.point.moved(start, ours.optimum.point.own)
+    again = refit(ours, machine=True, start=begun, steps=8, noise=found.noise)
+    assert found.converged
+    assert again.converged
+    assert again.normal.objective == pytest.approx(found.normal.objective, abs=0.1)
 
 
 def test_what_is_held_stays():

@@ -347,9 +347,11 @@ def minimise(
             converged = True
             break
         there = at(moved)
-        if _is_astray(system, here, there, scaled=not sigma_N):
+        rise = _rise(system, here, there, scaled=not sigma_N)
+        if rise > WORSE:
             system.deflection, damping = here.frame, damping * BACK
             continue
+        gain = min(gain, -rise)
         largest = _change(here.normal, here.point, moved, frozen == 0.0)
         here = there
         # what shared parameters no longer gain, those of the logs may
@@ -369,13 +371,13 @@ def minimise(
     )  # fmt: skip
 
 
-def _is_astray(system: System, here: _At, there: _At, *, scaled: bool) -> bool:
-    """True of a step that is up with its own deflection; ``scaled``: the noise follows the residuals."""
+def _rise(system: System, here: _At, there: _At, *, scaled: bool) -> float:
+    """Rise by a step that is up with its own deflection; ``scaled``: the noise follows the residuals."""
     if here.frame.settled and not there.frame.settled:
-        return True
+        return float("inf")
     if not scaled:
-        return there.normal.objective - here.normal.objective > WORSE
-    return _criterion(system, there) - _criterion(system, here) > WORSE
+        return there.normal.objective - here.normal.objective
+    return _criterion(system, there) - _criterion(system, here)
 
 
 def _criterion(system: System, at: _At) -> float:
@@ -387,14 +389,40 @@ def _descend(
     system: System, here: _At, white: Whitener, damping: float, frozen: FloatArray
 ) -> tuple[Point | None, float, float]:
     """A point with a smaller objective or ``None``, the damping that reached it, and the gain."""
-    normal, prior = here.normal, here.prior
+    normal = here.normal
     while damping < HOPELESS:
-        moved = _step(normal, prior, here.point, damping, frozen, system.centred)
-        e = white(system.force - system.predict(moved)) / here.noise_N
-        value = float(e @ e) + prior_cost(prior, moved)
+        moved = _step(normal, here.prior, here.point, damping, frozen, system.centred)
+        moved, value = _with_best_linear(system, here, moved, white, frozen)
         if value <= normal.objective * (1.0 + 1e-12) and np.isfinite(value):
             if normal.objective - value <= 1e-7 * max(1.0, 1e-6 * normal.objective):
                 return None, damping, 0.0
             return moved, max(damping * LOWERED, 1e-10), normal.objective - value
         damping *= RAISED
     return None, DAMPING, 0.0
+
+
+def _with_best_linear(
+    system: System, here: _At, point: Point, white: Whitener, frozen: FloatArray
+) -> tuple[Point, float]:
+    """The point with the linear parameters that suit its others, as a valley that bends needs; its objective.
+
+    Variable projection (Golub & Pereyra 1973, doi 10.1137/0710036); logs that have gains do without.
+    """
+    prior, first = here.prior, system.law.times + len(MACHINE)
+    force, columns = system.tip_force(point)
+    both = force[None] if system.effects.gain else np.concatenate([force[None], system.soft * columns])
+    seen = system.means(system.recorded(both, point.machine))
+    residual = white(system.force - seen[0]) / here.noise_N
+    value = float(residual @ residual) + prior_cost(prior, point)
+    if system.effects.gain:
+        return point, value
+    basis, rows = white(seen[1:].T) / here.noise_N, prior.rows[:, first:]
+    hessian = basis.T @ basis + rows.T @ rows + np.diag(frozen[first:] + FLAT)
+    gradient = basis.T @ residual + rows.T @ (prior.target - prior.rows @ point.shared)
+    covariance, cone = covariance_of(hessian), prior.cone[:, first:]
+    shared, least = point.shared, prior.least - prior.cone[:, :first] @ point.shared[:first]
+    shared[first:] = nearest_in_cone(shared[first:] + covariance @ gradient, covariance, cone, least)
+    better = point.moved(shared, point.own)
+    left = residual - basis @ (better.linear - point.linear)
+    found = float(left @ left) + prior_cost(prior, better)
+    return (better, found) if found < value else (point, value)
