@@ -21,8 +21,8 @@ from tissueid.inference.choice import (
     groups_of,
     held_out,
     resolved,
+    shown,
     table_of,
-    without_bends,
 )
 from tissueid.inference.specimen import _one_form, rival_flags
 from tissueid.inference.window import FOLDS
@@ -210,14 +210,16 @@ def test_a_branch_faster_than_the_sampling_or_below_the_noise_is_not_resolved():
 def test_a_third_branch_of_one_program_has_to_gain_a_fifth_and_be_shown_by_the_logs_themselves():
     base = np.array([1.0, 1.2, 0.9])
     plain, slight = tried(2, 1, base), tried(3, 1, 0.93 * base, badness=-20.0)
-    assert without_bends([plain, slight]) == [plain]
-    much, luck = (tried(3, 1, 0.7 * base, badness=-shown) for shown in (20.0, 10.0))
-    assert without_bends([plain, much]) == [plain, much]
-    assert without_bends([plain, luck]) == [plain]
+    assert shown([plain, slight], one_program=True) == [plain]
+    assert shown([plain, slight], one_program=False) == [plain, slight]
+    much, luck = (tried(3, 1, 0.7 * base, badness=-gain) for gain in (20.0, 10.0))
+    assert shown([plain, much], one_program=True) == [plain, much]
     # a second branch needs no such gain, but to be seen
     one, two = tried(1, 0, base), tried(2, 0, 0.97 * base, badness=0.6)
-    assert without_bends([one, two]) == [one]
-    assert without_bends([one, replace(two, badness=-20.0)])[1].branches == 2
+    assert shown([one, replace(two, badness=-20.0)], one_program=True)[1].branches == 2
+    for one_program in (True, False):
+        assert shown([plain, luck], one_program=one_program) == [plain]
+        assert shown([one, two], one_program=one_program) == [one]
 
 
 PAPER = small_recipe(branches=(Branch((10.0, 12.0), 0.3),), logs=LOGS, sigma_N=0.1)

@@ -255,15 +255,17 @@ def resolved(one: Tried, step_s: float) -> bool:
     return all(np.abs(point.linear[at] @ columns[at]).max() >= SEEN * sigma for at in branches)
 
 
-def without_bends(tried: Sequence[Tried]) -> list[Tried]:
-    """Candidates of one program: what a branch or a bend too many adds must be seen in the log itself.
+def shown(tried: Sequence[Tried], *, one_program: bool) -> list[Tried]:
+    """Candidates of which every branch and every bend of K more is seen in the logs themselves.
 
-    K varies with depth, and has a third branch, only where much is gained as well: only the form of their
-    polynomials tells F_s(x) from K(x) s(x) there, and an error of the contact looks like a K that bends.
+    Of one program K varies with depth, and has a third branch, only where much is gained as well: only the
+    form of their polynomials tells F_s(x) from K(x) s(x) there, and an error of the contact looks like a K
+    that bends.
     """
 
     def needed(one: Tried, other: Tried) -> bool:
-        gained = other.branches not in {one.branches, 2} or _gain(one, other)[0] >= BEND
+        asked = one_program and other.branches in {one.branches, 2}
+        gained = not asked or _gain(one, other)[0] >= BEND
         least = float(chi2.ppf(SHOWN, one.law.freedom - other.law.freedom))
         return gained and other.badness - one.badness >= least
 

@@ -28,8 +28,8 @@ from tissueid.inference.choice import (
     groups_of,
     held_out,
     resolved,
+    shown,
     table_of,
-    without_bends,
 )
 from tissueid.inference.evidence import LogEvidence, NoiseVerdict, scan_memory, verdict_on_noise
 from tissueid.inference.noise import Memory
@@ -286,8 +286,8 @@ def _orders_tried(
             one = _tried(fitting, fitting.law(branches, degree), memory, None if request.single else groups)
             tried.append(replace(one, branches=branches, degree=degree))
         seen_whole = describing([one for one in tried if resolved(one, fitting.step_s)] or tried[:1])
-        if one_program(facts) and not single:
-            seen_whole = without_bends(seen_whole)
+        if not single:
+            seen_whole = shown(seen_whole, one_program=one_program(facts))
         chosen, table, as_good = chosen_among(seen_whole)
         done = {(one.branches, one.degree) for one in tried}
         best = tuple((one.branches, one.degree) for one in as_good)
