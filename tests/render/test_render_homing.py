@@ -39,7 +39,7 @@ def test_an_owner_that_dies_during_homing_ends_it_with_zero_force(pipes):
         last = link.falcon.last_motors
     assert "pull the grip" in pipes.told()
     # homing itself would be given up after a minute; the timer runs on a clock of its own
-    assert 0.4 <= took < 20.0
+    assert 0.4 <= took < 50.0
     assert last == (0, 0, 0)
 
 
