@@ -11,7 +11,7 @@ from inference_cases import draw, handles_for, identified, small_recipe
 
 from tissueid.inference import sampling
 from tissueid.inference.diagnostics import WORST_R_HAT, diagnose
-from tissueid.inference.proposal import CHAINS, WIDER, _truncated, cut_normal, learn_mixture
+from tissueid.inference.proposal import CHAINS, WIDER, _share, _truncated, cut_normal, learn_mixture
 from tissueid.inference.sampling import STEPS, WALKERS, Checkpoint, sample, smoothed
 from tissueid.inference.target import SpecimenTarget
 
@@ -359,16 +359,31 @@ def weighed(target, seed=1, count=6_000):
 
 
 def test_a_mixture_learns_a_banana():
-    z, found, efficiency = weighed(banana())
+    """In the median of ten: of one mixture luck with the tail decides."""
+    rows = []
+    for seed in range(10):
+        z, found, efficiency = weighed(banana(), seed, 20_000)
+        moments = [found.weights @ z[:, k] ** power for k in (0, 1) for power in (1, 2)]
+        rows.append([efficiency, found.worth / len(z), found.pareto, *moments])
+    efficiency, worth, pareto, *moments = np.median(rows, axis=0)
     # the normal at the top of it covers a fifth of its curvature
-    assert efficiency > 0.4
-    assert found.worth > 0.35 * len(z)
-    assert found.pareto < 0.6
-    # E y = 0, var y = 2 + 0.16; 2,000 effective draws, y^2 with a heavy tail
-    assert float(found.weights @ z[:, 0]) == pytest.approx(0.0, abs=0.1)
-    assert float(found.weights @ z[:, 0] ** 2) == pytest.approx(1.0, abs=0.12)
-    assert float(found.weights @ z[:, 1]) == pytest.approx(0.0, abs=0.12)
-    assert float(found.weights @ z[:, 1] ** 2) == pytest.approx(2.16, abs=0.6)
+    assert efficiency > 0.7
+    assert worth > 0.5
+    assert pareto < 1.0
+    # E y = 0, var y = 2 + 0.16
+    np.testing.assert_allclose(moments[:3], [0.0, 1.0, 0.0], atol=0.12)
+    assert moments[3] == pytest.approx(2.16, abs=0.5)
+
+
+def test_a_density_that_misses_half_is_worth_little_once_the_other_half_is_known():
+    rng = np.random.default_rng(4)
+    z = np.concatenate([rng.standard_normal(4000) - 6.0, rng.standard_normal(4000) + 6.0])
+    near, far = (-0.5 * (z - at) ** 2 - 0.5 * np.log(2.0 * np.pi) for at in (-6.0, 6.0))
+    both = np.logaddexp(near, far) - np.log(2.0)
+    assert _share(both, both, both) == pytest.approx(1.0)
+    assert _share(both, near, both) < 1e-6
+    # of what it alone has found it looks like the density
+    assert _share(both[:4000], near[:4000], near[:4000]) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_a_mixture_of_a_normal_is_about_that_normal():

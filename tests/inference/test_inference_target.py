@@ -11,16 +11,14 @@ from scipy.stats import multivariate_normal
 
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import Noise
-from tissueid.inference.prior import bernstein
+from tissueid.inference.prior import bernstein, coordinate, quantile
 from tissueid.inference.reported import log_theta_prior, prior_table
-from tissueid.inference.ridges import Ridges
 from tissueid.inference.sampling import sample
-from tissueid.inference.system import Point
-from tissueid.inference.target import NormalTarget, SpecimenTarget, _coordinate, _quantile
+from tissueid.inference.target import NormalTarget, SpecimenTarget
 from tissueid.model.grammar import candidates
 from tissueid.model.states import branch_states
 from tissueid.priors import WEAK_FACTOR, CalibrationPrior, Priors, SpreadPrior
-from tissueid.synth import Hold, Log, Move
+from tissueid.synth import Branch, Hold, Log, Move
 
 #: Half the logs are short: they are kept sample by sample.
 SHORT = small_recipe(rate_Hz=50.0)
@@ -49,8 +47,10 @@ def test_a_single_log_has_the_likelihood_of_its_samples_and_its_priors():
         left = ours.system.force - ours.system.predict(point)
         sigma = np.exp(one[at.places["ln_sigma"]])
         # priors are of the coefficients times the largest states
-        about = at._about_contact(one)
-        value = -0.5 * ((prior.rows @ about - prior.target) ** 2).sum() - 0.5 * prior.own[0, 0] * contact**2
+        value = (
+            -0.5 * ((prior.rows @ one[: at.n_shared] - prior.target) ** 2).sum()
+            - 0.5 * prior.own[0, 0] * contact**2
+        )
         value += -0.5 * float(left @ left) / sigma**2 - left.size * np.log(sigma)
         expected.append(value)
     inside = np.isfinite(found)
@@ -160,14 +160,14 @@ def test_whitened_coordinates_are_those_of_the_curvature_within_the_passive_set(
 )
 def test_a_machine_by_quantiles_has_its_prior_and_keeps_its_digits(mean, sd, lower):
     z, prior = np.linspace(-6.0, 6.0, 41), CalibrationPrior(mean, sd, lower)
-    values = _quantile(prior, z)
+    values = quantile(prior, z)
     assert (np.diff(values) > 0.0).all()
     assert (values >= prior.lower).all()
     middle = np.abs(z) < 4.5
-    np.testing.assert_allclose(_coordinate(prior, values)[middle], z[middle], atol=1e-5)
+    np.testing.assert_allclose(coordinate(prior, values)[middle], z[middle], atol=1e-5)
     if mean == lower == 0.0:
         # the median of a half normal
-        assert _quantile(prior, np.zeros(1)) == pytest.approx(0.6745 * sd, rel=1e-4)
+        assert quantile(prior, np.zeros(1)) == pytest.approx(0.6745 * sd, rel=1e-4)
 
 
 def volume(at, z):
@@ -191,7 +191,7 @@ def test_the_density_does_not_depend_on_how_coordinates_are_given(case):
     for k, place in enumerate(at.cut_places):
         # of what bounds cut, by quantiles of the prior
         np.testing.assert_allclose(
-            x[:, place], _quantile(at.priors.calibration[at.names[place]], z[:, k]), atol=1e-9
+            x[:, place], quantile(at.priors.calibration[at.names[place]], z[:, k]), atol=1e-9
         )
     inside = np.isfinite(found)
     assert inside.sum() >= 2
@@ -347,33 +347,47 @@ def held_behind_an_unknown_frame():
     return SpecimenTarget(ours)
 
 
-def test_a_vector_is_that_of_its_point_and_ridges_keep_volumes():
-    at = held_behind_an_unknown_frame()
-    assert len(at.ridges.lines) == 2
-    for x in points(at, n=4):
-        one = at.point(x[None])
-        back = Point(one.log_times[0], one.machine[0], one.linear[0], one.own[0])
-        np.testing.assert_allclose(at.vector_of(back), np.where(np.arange(x.size) > at.places["contact"],
-                                   at.mode, x), rtol=1e-8, atol=1e-10)  # fmt: skip
-    # what drives them stays where it was: machine, times, and the noise
-    first, contact = at.law.times + 3, at.places["contact"]
-    for one in at.ridges.lines:
-        off = one.at(one.curve.x)
-        assert (off[:, :first] == 0.0).all()
-        assert (off[:, contact + 1 :] == 0.0).all()
-        assert np.abs(one.at(at.mode[one.place])).max() < 1e-6 * np.abs(at.mode).max()
-        assert np.abs(off).max() > 0.0
+def test_linear_parameters_of_a_log_are_normal_given_all_else():
+    at, rng = held_behind_an_unknown_frame(), np.random.default_rng(2)
+    p = at.law.linear
+    for first in 0.5 * rng.standard_normal((3, at.size - p)):
+        z = np.hstack([np.tile(first, (20, 1)), rng.standard_normal((20, p))])
+        x = at.vectors(z)
+        assert (np.ptp(x[:, : at.law.times + 3], axis=0) == 0.0).all()
+        found = at.density(x) + 0.5 * (z[:, -p:] ** 2).sum(axis=1)
+        assert np.ptp(found[np.isfinite(found)]) < 1e-4
+        assert np.isfinite(found).sum() > 10
+        assert at.marginal(x)[0] == pytest.approx(at.marginal(np.roll(x, 1, axis=0))[0])
 
 
-def test_draws_reach_the_end_of_the_frames_ridge(monkeypatch):
+def test_linear_parameters_stay_on_the_wall_that_holds_the_optimum():
+    branch = Branch((0.0, 6.0), 1.0)
+    plan = small_recipe(
+        rate_Hz=50.0, sigma_N=0.1, branches=(branch,), logs=(Log("one", (Move(5.0, 60.0), Hold(5.0))),)
+    )
+    for seed in range(8):
+        ours = identified(
+            handles_for(draw(plan, seed), sd_mm=0.02), machine=True, degrees=(1,), branches=(1,)
+        )
+        at = SpecimenTarget(ours)
+        rows, least = at._walls_held
+        if len(rows):
+            break
+    assert len(rows) == 1
+    z = 0.5 * np.random.default_rng(seed).standard_normal((6, at.size))
+    z[:, -at.law.linear :] = 0.0
+    slack = at.vectors(z)[:, at.linear_places] @ rows.T - least
+    assert np.abs(slack).max() < 1e-6 * at.force
+
+
+def test_draws_reach_the_end_of_the_frames_valley(monkeypatch):
     """One hold says of the frame little: nearly as good a fit lies far from the optimum, along a curve."""
     found = []
-    for ridges in (None, Ridges()):
+    for walls in (2, -1):
+        monkeypatch.setattr("tissueid.inference.target.MOST_WALLS", walls)
         at = held_behind_an_unknown_frame()
-        if ridges is not None:
-            at.__dict__["ridges"] = ridges
         drawn = sample(at, draws=2_000, seed=0)
         frame = at.vectors(drawn.chain.reshape(-1, at.size))[:, at.law.times]
         found.append(float(np.quantile(frame, 0.975)))
-    with_ridges, without = found
-    assert with_ridges > 0.002 > 0.001 > without
+    following, straight = found
+    assert following > 0.002 > 0.001 > straight

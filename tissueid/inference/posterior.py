@@ -117,9 +117,10 @@ def _at_mean_machine(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
 
 def _draws(target: SpecimenTarget, sampled: Sampled, priors: Priors, seed: int) -> Draws:
     """Draws as vectors and as tissues."""
-    vectors = target.vectors(sampled.chain.reshape(-1, sampled.chain.shape[2]))
-    central = sampled.at_mean_machine
+    z, central = sampled.chain.reshape(-1, sampled.chain.shape[2]), sampled.at_mean_machine
+    vectors = target.vectors(z)
     inner = _at_mean_machine(target, vectors) if central is None else target.vectors(central)
+    inner = target.following(inner, z)
     gains = np.ones((len(vectors), 2))
     total, statistical = _theta_of(target, vectors), _theta_of(target, inner)
     if target.open:

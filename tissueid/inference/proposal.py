@@ -6,7 +6,7 @@ Hit-and-run in the polytope (doi 10.1287/opre.32.6.1296); adaptive multiple impo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import linprog
@@ -19,8 +19,8 @@ from tissueid.inference.target import Target
 CHAINS, STEPS_EACH, WIDER = 1000, 40, 1.06
 #: Shares of the steps that change one slack of a likely constraint, and none.
 ONE_SLACK, NO_SLACK = 0.6, 0.2
-#: Half width of the box in which a starting point is sought.
-REACH = 2.0
+#: Half width of the box in which a start is sought; least share within walls that is drawn by rejection.
+REACH, LEAST_LEFT = 2.0, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,25 +31,22 @@ class CutNormal:
     width: float
     rows: FloatArray  # (c, d): half spaces ``rows @ z >= least``
     least: FloatArray  # (c,)
-    pool: FloatArray  # (n, d), draws
+    left: float = 0.0  # share of the normal that the half spaces leave
+    pool: FloatArray = field(default_factory=lambda: np.empty(0))  # (n, d), draws
 
-    def _whole(self, count: int, rng: np.random.Generator) -> FloatArray:
+    def whole(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draws of the normal that is not cut, shape (count, d)."""
         return self.centre + self.width * rng.standard_normal((count, self.centre.size))
 
-    def _inside(self, z: FloatArray) -> FloatArray:
+    def inside(self, z: FloatArray) -> FloatArray:
         """Those of some points that the half spaces leave, (n, d) -> (k, d)."""
         return z[(z @ self.rows.T >= self.least).all(axis=1)]
-
-    def left(self, rng: np.random.Generator) -> float:
-        """Share of the normal that the half spaces leave."""
-        return len(self._inside(self._whole(CHAINS, rng))) / CHAINS
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draws by rejection, shape (count, d)."""
         parts, known = [], 0
         while known < count:
-            parts.append(self._inside(self._whole(2 * (count - known), rng)))
+            parts.append(self.inside(self.whole(2 * (count - known), rng)))
             known += len(parts[-1])
         return np.concatenate(parts)[:count]
 
@@ -111,6 +108,10 @@ def cut_normal(
     key = rows[likely] / size[likely, None]
     kept = size > 0.0
     rows, least = rows[kept] / size[kept, None], np.minimum(least[kept] / size[kept], -1e-9)
+    cut = CutNormal(centre, WIDER, rows, least)
+    inside = cut.inside(cut.whole(CHAINS, rng))
+    if len(inside) >= LEAST_LEFT * CHAINS:
+        return replace(cut, left=len(inside) / CHAINS, pool=cut.draw(CHAINS, rng))
     z = np.repeat(_inside(rows, least)[None], CHAINS, axis=0)
     slack = z @ rows.T - least
     for direction in _directions(key, d, STEPS_EACH * d, rng):
@@ -122,13 +123,13 @@ def cut_normal(
         move = _truncated(mean, WIDER, np.minimum(low, 0.0), np.maximum(high, 0.0), rng.random(CHAINS))
         z += move[:, None] * direction
         slack += move[:, None] * along
-    return CutNormal(centre, WIDER, rows, least, z)
+    return replace(cut, pool=z)
 
 
 #: Components at the most; degrees of freedom with the width of a component over the spread of the draws it
 #: stands for, the widest first.
 COMPONENTS = 6
-TAILS = ((6.0, 1.2), (12.0, 1.1), (40.0, 1.04))
+TAILS = ((5.0, 1.25), (12.0, 1.1), (40.0, 1.04))
 #: Share of draws that keep the widest tails.
 WIDE_SHARE = 0.15
 #: Draws of a round, rounds at the most, the share of them that makes the mixture good enough, and that from
@@ -277,28 +278,39 @@ def _best_tails(mixture: Mixture, z: FloatArray, weight: FloatArray, levels: Flo
     return min(tried, key=spread)[0]
 
 
+def _share(levels: FloatArray, log_density: FloatArray, proposed: FloatArray) -> float:
+    """Share that draws of a density would be worth, by all points there are: (E_q w)^2 / E_q w^2."""
+    apart = levels - proposed
+    if not np.isfinite(total := logsumexp(apart)):
+        return 0.0
+    return float(np.exp(2.0 * total - np.log(levels.size) - logsumexp(apart + levels - log_density)))
+
+
 def learn_mixture(target: Target, cut: CutNormal, rng: np.random.Generator) -> tuple[Mixture, float]:
-    """Learn a density from the cut normal; the mixture, and the share that its last draws are worth."""
+    """Learn a density from the cut normal; the mixture, and the share that its draws are worth."""
     least = EACH * target.size
     first = target.bent(cut.pool[: 2 * ROUND])
     mixture = _fitted(first, np.full(len(first), 1.0 / len(first)), rng)
     z, levels = np.empty((0, target.size)), np.empty(0)
     used: list[tuple[Mixture, FloatArray]] = []
-    recent, best = [0.0], (0.0, mixture)
+    fresh, found = list[float](), list[tuple[float, Mixture]]()
     for _ in range(ROUNDS):
         new = mixture.draw(ROUND, rng)
         value = target.densities(new)
         used = [(one, np.append(known, one.log_density(new))) for one, known in used]
         used = [*used, (mixture, mixture.log_density(np.vstack([z, new])))][-REMEMBERED:]
-        _, worth = _normalised(value - used[-1][1][-ROUND:])
-        efficiency = worth / ROUND
+        fresh.append(_normalised(value - used[-1][1][-ROUND:])[1] / ROUND)
         z, levels = np.vstack([z, new]), np.append(levels, value)
-        recent.append(efficiency)
-        best = max(best, (efficiency, mixture), key=lambda one: one[0])
+        proposed = logsumexp([known for _, known in used], axis=0) - np.log(len(used))
+        # a density that misses a part looks good until another has found that
+        shares = [_share(levels, known, proposed) for _, known in used]
+        now = zip(map(min, fresh[-len(used) :], shares), [one for one, _ in used], strict=True)
+        found = [*found[: len(fresh) - len(used)], *now]
+        recent, best = [one[0] for one in found], max(found, key=lambda one: one[0])
         settled = SETTLED_FAIR if best[0] >= FAIR else SETTLED
-        if efficiency >= GOOD or (len(recent) > settled and max(recent[-settled:]) <= max(recent[:-settled])):
+        # tails are known by the second time
+        if min([0.0, *recent][-2:]) >= GOOD or max(recent[-settled:]) <= max(recent[:-settled], default=-1.0):
             break
-        proposed = logsumexp([known for _, known in used], axis=0)
         weight = tempered(levels - proposed, least)
         if not weight.any():
             break

@@ -145,9 +145,8 @@ LOOK, MOST_LOOKS = 1_000, 12
 #: Effective draws that intervals must be worth (ends are then good to a quarter of a standard deviation), and
 #: the largest Pareto shape with which importance weights are trusted.
 ENOUGH, TRUSTED = 100.0, 0.7
-#: Share of the normal within the walls below which rejection wastes its draws, and share of them that they
-#: are worth where the target is nearly normal.
-LEAST_LEFT, NEARLY = 0.05, 0.8
+#: Share of draws of the normal within its walls that they are worth where the target is nearly that.
+NEARLY = 0.8
 #: Looks after which points that are worth less than this share of them are left to the walkers, and what they
 #: are worth for each walker that starts from them, below which it walks alone.
 FEW_LOOKS, POOR_LOOK, FEWEST_STARTS = 3, 0.1, 1.0 / 8.0
@@ -215,7 +214,7 @@ def _proposal(target: Target, rng: np.random.Generator) -> Proposal:
         # from its second point on: the first one has the sequence expect a power of two
         return Normal(target.centre, Sobol(target.size, seed=rng).fast_forward(1))
     cut = cut_normal(target.centre, target.rows, target.walls, target.likely, rng)
-    if cut.left(rng) >= LEAST_LEFT:
+    if cut.left:
         first = cut.draw(LOOK // 4, rng)
         worth = smoothed(target.densities(first) - cut.log_density(first)).worth
         if worth >= NEARLY * len(first):

@@ -365,6 +365,14 @@ class System:
         base, _ = self.tip_force(point, rounds=0)
         return self.means(self.recorded(base, point.machine))
 
+    def near_parts(self, point: Point) -> FloatArray:
+        """The same, which is linear: without linear parameters, and their columns, (1 + p, n, k)."""
+        columns = self.law.columns(point.log_times, self.path(self._behind(point, self.guess)))
+        parts = np.zeros((1 + len(columns), *columns.shape[1:]))
+        soft = self.soft if self._yields(point) else np.ones(1)
+        parts[0], parts[1:] = (1.0 - soft) * self.guess, soft * columns
+        return self.means(self.recorded(parts, point.machine))
+
     def derivatives(self, point: Point, *, machine: bool, follow: bool = False) -> Derivatives:
         """Forces with their derivatives; those by a machine that is not asked about are zero.
 

@@ -1,29 +1,31 @@
 """The posterior of one specimen: tissue, machine, noise and scatter between logs in one density.
 
 What logs have for themselves is integrated, linearised about the optimum; of a single log the contact is a
-coordinate.  A branch's stiffness is sampled times its largest state, so that its time moves alone.
+coordinate, and linear parameters are drawn from their normal given all else, which is exact.  A branch's
+stiffness is sampled times its largest state, so that its time moves alone.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 from tissueid.arrays import FloatArray, IntArray
+from tissueid.inference.channel_law import LARGEST_LN
+from tissueid.inference.conditional import Conditional, Walls, conditional, on_walls
 from tissueid.inference.engine import Identified
 from tissueid.inference.law import relaxation_states
 from tissueid.inference.noise import Memory, Whitener
 from tissueid.inference.optimum import Optimum, covariance_of, nearest_inside, whitener_of
-from tissueid.inference.prior import own_precision, time_bounds
-from tissueid.inference.ridges import Ridges, ridges_of, straight_beyond, with_quantiles
+from tissueid.inference.prior import coordinate, own_precision, quantile, time_bounds
+from tissueid.inference.ridges import Ridges, ridges_of, straight_beyond
 from tissueid.inference.system import MACHINE, SHAPE, Point
-from tissueid.priors import CalibrationPrior
 
 #: Points of ln tau at which the largest state is tabulated, and step of ln memory at which noise is whitened.
 TAU_GRID, MEMORY_GRID = 48, 0.05
@@ -34,13 +36,13 @@ STEP, LEAST_CURVATURE, MOST_CURVATURE = 0.2, 1.0, 400.0
 #: Share of the largest force below which own derivatives stay those of the optimum.
 SLIGHT = 1e-3
 #: Points along all logs, times vectors, of one evaluation.
-PART = 65_536
+PART = 131_072
 #: Scale below which one is not undone.
 LEAST_SCALE = 1e-3
 #: Ln of the common scale beyond which the prior of gains lets none be.
 MOST_SCALE = 30.0
-#: Ln of the ratio of widths beyond which curvature along a ridge is not believed.
-MOST_WIDER = 3.5
+#: Walls that hold the optimum at the most where linear parameters are drawn given all else.
+MOST_WALLS = 2
 
 
 class Target(Protocol):
@@ -79,11 +81,13 @@ class SpecimenTarget:
         priors = [self.priors.calibration[name] for name in MACHINE]
         #: Numbers and priors of the machine that its bounds cut: no normal, and quantiles of these.
         self._cut = {k: one for k, one in enumerate(priors) if math.isfinite(one.lower)}
-        #: The machine is not bent by its priors, and the contact takes polynomials with it in proportion.
+        #: The machine is not bent by its priors, and linear parameters follow all else in proportion.
         self.straight = False
         parts = self.system.derivatives(self.optimum.point, machine=False, follow=True)
         self._own_at_optimum, self._force_at_optimum = parts.own.T, parts.force
         self._lay_out(machine)
+        #: Linear parameters are drawn from their normal given all else.
+        self.follows = self.alone and len(self._walls_held[0]) <= MOST_WALLS
         self._whiten()
 
     def _lay_out(self, machine: bool) -> None:
@@ -117,9 +121,12 @@ class SpecimenTarget:
         #: it is free, among the free.
         self.machine_places = at[self.free[at]]
         self.cut_places = at[[k for k in self._cut if self.free[at[k]]]]
-        #: Places among the free of all but the machine.
-        self.still = np.flatnonzero(~np.isin(np.flatnonzero(self.free), at))
-        self.still_places: list[int] = np.flatnonzero(self.free)[self.still].tolist()
+        # linear parameters of a single log come last, as they follow all else
+        last = self.linear_places if self.alone else slice(0)
+        rest = np.setdiff1d(np.flatnonzero(self.free), np.append(at, np.arange(self.mode.size)[last]))
+        #: Places of all but the machine, in the order of whitened coordinates, and these among the free.
+        self.still_places: list[int] = [*rest.tolist(), *range(self.mode.size)[last]]
+        self.still = np.searchsorted(np.flatnonzero(self.free), self.still_places)
         typical = np.concatenate(
             [np.ones(self.law.times), np.full(len(MACHINE), 1e-3), np.full(self.law.linear, self.force)]
         )
@@ -151,39 +158,23 @@ class SpecimenTarget:
         then = np.interp(times, self._ln_tau, self._ln_state)
         return np.asarray(np.interp(log_times, self._ln_tau, self._ln_state) - then)
 
-    def _about_contact(self, x: FloatArray) -> FloatArray:
-        """Shared coordinates with polynomials about the contact, (..., size) -> (..., shared)."""
-        out = np.array(x[..., : self.n_shared])
-        if "contact" not in self.places:
-            return out
-        at = self.places["contact"]
-        by, first = x[..., at] - self.mode[at], self.law.times + len(MACHINE)
-        if self.straight:
-            out[..., first:] += by[..., None] * self.slope[first : self.n_shared, at]
-            return out
-        for one in self.law.blocks:
-            if one.polynomial:
-                # a static polynomial has no constant term, which the shift would give it
-                lowest = int(one.branch < 0)
-                part = slice(first + one.at.start, first + one.at.stop)
-                out[..., part] = _shifted(out[..., part], by, lowest)
-        return out
-
-    def _unscaled(self, out: FloatArray) -> FloatArray:
-        """Stiffness of each branch without its largest state, in place."""
+    def _scales(self, log_times: FloatArray) -> list[tuple[slice, FloatArray]]:
+        """Linear parameters of each branch, and what its largest state makes of them, (...,)."""
         if not (self.law.relaxation.branches and self.law.counts[0]):
-            return out
-        first = self.law.times + len(MACHINE)
-        scale = np.exp(-self._amplitudes(out[..., : self.law.counts[0]]))
-        for one in self.law.blocks:
-            if one.branch >= 0:
-                part = slice(first + one.at.start, first + one.at.stop)
-                out[..., part] *= scale[..., one.branch, None]
-        return out
+            return []
+        scale = np.exp(-self._amplitudes(log_times[..., : self.law.counts[0]]))
+        return [(one.at, scale[..., one.branch]) for one in self.law.blocks if one.branch >= 0]
 
     def shared(self, x: FloatArray) -> FloatArray:
         """Times, machine and linear parameters of the law at vectors, (..., size) -> (..., shared)."""
-        return self._unscaled(self._about_contact(x))
+        return self._unscaled(x[..., : self.n_shared])
+
+    def _unscaled(self, scaled: FloatArray) -> FloatArray:
+        """Shared parameters with stiffness of each branch without its largest state."""
+        out, linear = np.array(scaled), np.arange(self.linear_places.start, self.linear_places.stop)
+        for at, scale in self._scales(scaled):
+            out[..., linear[at]] *= scale[..., None]
+        return out
 
     def point(self, x: FloatArray) -> Point:
         """Vectors -> point, or n of them; own parameters that are integrated stay at the optimum."""
@@ -201,16 +192,21 @@ class SpecimenTarget:
 
     def _parts(self, x: FloatArray) -> list[FloatArray]:
         """Vectors in parts whose forces stay in the processor's cache."""
-        size = max(PART // self.system.travel.size, 1)
+        each = self.system.travel.size * (1 + self.law.linear * self.follows)
+        size = max(PART // each, 1)
         return [x[i : i + size] for i in range(0, len(x), size)]
 
     def vectors(self, z: FloatArray) -> FloatArray:
-        """Whitened points -> vectors, (..., d) -> (..., size)."""
+        """Whitened points -> vectors, (n, d) -> (n, size)."""
+        return self.following(self._spread(z), z)
+
+    def _spread(self, z: FloatArray) -> FloatArray:
+        """Vectors of whitened points, linear parameters that follow all else left where they are."""
         x = np.broadcast_to(self.mode, (*z.shape[:-1], self.mode.size)).copy()
         x[..., self.free] += (z if self.straight else self._straight(z)) @ self.root.T
         if self.straight:
             return x
-        at, times, rest = self.machine_places, self.law.times, self.still_places
+        at, rest = self.machine_places, self.still_places
         for place, curve in self.ridges.quantiles.items():
             x[..., place] = straight_beyond(curve, z[..., at.size + rest.index(place)])[0]
         if self.ridges.widths is not None:
@@ -223,36 +219,64 @@ class SpecimenTarget:
             ln_scale = np.clip(found + self.ridges.ln_scale.along(x), -MOST_SCALE, MOST_SCALE)
             unscaled = x[..., linear] - found[..., None] * self.mode[linear]
             x[..., linear] = unscaled * np.exp(ln_scale)[..., None]
-        if not self.ridges.lines:
-            return x
-        # a time that goes with the machine is still on its own ridge
-        by_machine = np.linalg.solve(self.root[at, : at.size].T, self.root[:times, : at.size].T)
-        along = x.copy()
-        along[..., :times] -= (x[..., at] - self.mode[at]) @ by_machine
-        for one in self.ridges.lines:
-            x += one.at(along[..., one.place])
         return x
+
+    def _followed(self, x: FloatArray, z: FloatArray) -> Iterator[tuple[FloatArray, Conditional]]:
+        """Parts of vectors with linear parameters at the last coordinates of whitened points."""
+        for part, xi in zip(self._parts(x), self._parts(z[:, -self.law.linear :]), strict=True):
+            given, out = self.conditional(part), part.copy()
+            out[:, self.linear_places] = given.at(xi)
+            yield out, given
+
+    def following(self, x: FloatArray, z: FloatArray) -> FloatArray:
+        """Vectors (n, size) with linear parameters that follow them, at whitened points (n, d)."""
+        return np.concatenate([one for one, _ in self._followed(x, z)]) if self.follows else x
+
+    def conditional(self, x: FloatArray) -> Conditional:
+        """Normal of the linear parameters of a single log at all else of vectors, (n, size)."""
+        x, linear, prior = np.clip(x, *self._range), self.linear_places, self.optimum.prior
+        x[:, linear] = 0.0
+        shared = x[:, : self.n_shared]
+        seen = self.system.near_parts(self.optimum.point.moved(shared, self._own(x)))
+        for at, scale in self._scales(shared):
+            seen[1:][at] *= scale[:, None]
+        seen[0] = self.system.force - seen[0]
+        white, log_det = self._whitened(x, seen)
+        off = prior.target - shared @ prior.rows.T
+        return conditional(white, log_det, prior.rows[:, linear], off, self._walls_held)
+
+    @cached_property
+    def _walls_held(self) -> Walls:
+        """Rows of linear parameters (c, p) and values of the walls that hold the optimum."""
+        prior, linear = self.optimum.prior, self.linear_places
+        held = self.optimum.active & np.abs(prior.cone[:, linear]).any(axis=1)
+        return prior.cone[held, linear], prior.least[held]
+
+    @cached_property
+    def _range(self) -> FloatArray:
+        """Ends of what each coordinate of a vector may be, (2, size)."""
+        out = np.tile([[-np.inf], [np.inf]], self.mode.size)
+        out[:, : self.law.times] = self.law.bounds(*time_bounds(self.system))
+        for k, one in self._cut.items():
+            out[0, self.law.times + k] = one.lower
+        out[:, self.places["ln_sigma"]] = -LARGEST_LN, LARGEST_LN
+        return out
 
     @cached_property
     def ridges(self) -> Ridges:
-        """Ridges of a single log whose machine is open, and coordinates that are far from normal."""
-        frame = partial(_quantile, self.priors.calibration[MACHINE[0]])
-        return with_quantiles(self, ridges_of(self, frame) if self.alone and self.open else Ridges())
+        """Curves along coordinates that are far from normal."""
+        return ridges_of(self)
 
-    def vector_of(self, point: Point) -> FloatArray:
-        """Coordinates of a point of a single log, (size,)."""
-        x, first = self.mode.copy(), self.law.times + len(MACHINE)
-        x[: self.n_shared] = point.shared
-        ln_scale = self._amplitudes(point.log_times[: self.law.counts[0]])
-        at = self.places["contact"]
-        x[at] = point.own[0, 0]
-        for one in self.law.blocks:
-            part = slice(first + one.at.start, first + one.at.stop)
-            if one.branch >= 0 and self.law.relaxation.branches and self.law.counts[0]:
-                x[part] *= np.exp(ln_scale[one.branch])
-            if one.polynomial:
-                x[part] = _shifted(x[part], self.mode[at] - x[at], int(one.branch < 0))
-        return x
+    def marginal(self, x: FloatArray) -> FloatArray:
+        """Log densities of all but linear parameters that follow it, up to a constant, (n, size) -> (n,)."""
+        return self._levels(x, np.zeros((len(x), self.size)))
+
+    def _levels(self, x: FloatArray, z: FloatArray) -> FloatArray:
+        """Log densities of vectors, of linear parameters that follow by their coordinates, (n,)."""
+        if not self.follows:
+            return self.density(x)
+        found = self._followed(x, z)
+        return np.concatenate([self._density(one, given) + given.ln_width for one, given in found])
 
     def _straight(self, z: FloatArray) -> FloatArray:
         """Points with the cut machine by quantiles of its prior -> whitened points, (..., d) -> (..., d).
@@ -263,7 +287,7 @@ class SpecimenTarget:
         if at.size == 0:
             return z
         out = np.array(z)
-        values = [_quantile(one, z[..., k]) for k, one in enumerate(self._cut.values())]
+        values = [quantile(one, z[..., k]) for k, one in enumerate(self._cut.values())]
         off = np.stack(values, axis=-1) - self.mode[at]
         out[..., : at.size] = np.linalg.solve(self.root[at, : at.size], off[..., None])[..., 0]
         return out
@@ -272,32 +296,22 @@ class SpecimenTarget:
         """Whitened points -> points with the cut machine as quantiles of its prior, (n, d) -> (n, d)."""
         out, x = np.array(z), self.mode[self.free] + z @ self.root.T
         for k, (at, one) in enumerate(zip(self.cut_places, self._cut.values(), strict=False)):
-            out[:, k] = _coordinate(one, x[:, at])
+            out[:, k] = coordinate(one, x[:, at])
         return out
 
     def _bent(self, x: FloatArray) -> FloatArray:
         """Derivative of the law's parameters by the vector."""
         out, step = np.eye(len(x)), 1e-5
-        moving = [*range(self.n_shared), *([self.places["contact"]] if "contact" in self.places else [])]
-        sizes = step * np.maximum(np.abs(x[moving]), 1.0)
-        moved = np.tile(x, (len(moving), 1))
-        moved[np.arange(len(moving)), moving] += sizes
-        out[: self.n_shared, moving] = (self.shared(moved) - self.shared(x)).T / sizes
+        own = slice(self.n_shared)
+        sizes = step * np.maximum(np.abs(x[own]), 1.0)
+        moved = np.tile(x, (self.n_shared, 1))
+        moved[:, own] += np.diag(sizes)
+        out[own, own] = (self.shared(moved) - self.shared(x)).T / sizes
         return out
 
-    def root_at(self, optimum: Optimum) -> FloatArray:
-        """Root of the covariance of all but the machine at an optimum with some of it held."""
-        found, _ = self.curvature(optimum, self._bent(self.vector_of(optimum.point)))
-        rest, here = self.still_places, self.root[self.still, len(self.machine_places) :]
-        if not np.isfinite(found).all():
-            return here
-        root = np.asarray(np.linalg.cholesky(covariance_of(found[np.ix_(rest, rest)])), dtype=np.float64)
-        wider = np.abs(np.log(np.diag(root) / np.diag(here))).max()
-        return root if wider < MOST_WIDER else here
-
-    def curvature(self, optimum: Optimum, slope: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def curvature(self, optimum: Optimum) -> tuple[FloatArray, FloatArray]:
         """Hessian of the negative log density at an optimum, and the downhill gradient."""
-        normal, prior, s, n = optimum.normal, optimum.prior, self.n_shared, len(self.mode)
+        slope, normal, prior, s, n = self.slope, optimum.normal, optimum.prior, self.n_shared, len(self.mode)
         hessian, gradient = np.zeros((n, n)), np.zeros(n)
         if self.alone:
             off = prior.rows @ optimum.point.shared - prior.target
@@ -331,26 +345,35 @@ class SpecimenTarget:
     def _whiten(self) -> None:
         """Coordinates whitened about the optimum; walls and the centre of the normal in them."""
         self.slope = self._bent(self.mode)
-        hessian, gradient = self.curvature(self.optimum, self.slope)
+        hessian, gradient = self.curvature(self.optimum)
         self.precision = hessian[np.ix_(self.free, self.free)]
-        self.root = self.factor(covariance_of(self.precision))
+        covariance = covariance_of(self.precision)
+        self.root = self.factor(covariance)
         prior = self.optimum.prior
         used = prior.least > -1e200
         rows = np.zeros((int(used.sum()), len(self.mode)))
         rows[:, : self.n_shared] = prior.cone[used]
         self.walls = np.minimum(prior.least[used] - rows @ self.mode, 0.0)
-        if "contact" in self.places:
-            # a contact that moves takes the polynomials with it
-            at = self.places["contact"]
-            rows[:, at] = prior.cone[used] @ self.slope[: self.n_shared, at]
-        self.rows = rows[:, self.free] @ self.root
-        self.centre = self.root.T @ gradient[self.free]
+        self.wall_rows, self.lowest = rows[:, self.free], covariance @ gradient[self.free]
+        tangent = self._tangent()
+        self.rows, self.centre = self.wall_rows @ tangent, tangent.T @ gradient[self.free]
         self.likely = self._likely(used)
+
+    def _tangent(self) -> FloatArray:
+        """Derivative of free coordinates by whitened ones, linear parameters following along their walls."""
+        out = self.root.copy()
+        if not self.follows:
+            return out
+        factor, p = self.conditional(self.mode[None]).factor, self.law.linear
+        at, rows = self.still[-p:], self._walls_held[0]
+        along = on_walls(out[at, :-p].T, np.repeat(factor, self.size - p, axis=0), rows, np.zeros(len(rows)))
+        out[at, :-p], out[at, -p:] = along.T, np.linalg.inv(factor[0]).T
+        return out
 
     def factor(self, covariance: FloatArray) -> FloatArray:
         """Root of a covariance of the free coordinates, the machine first, and of that what is cut."""
-        places = np.append(self.cut_places, np.setdiff1d(self.machine_places, self.cut_places))
-        order = np.concatenate([places, np.setdiff1d(np.arange(len(covariance)), places)])
+        open_ends = np.setdiff1d(self.machine_places, self.cut_places)
+        order = np.concatenate([self.cut_places, open_ends, self.still]).astype(np.int64)
         inner = covariance[np.ix_(order, order)]
         out = np.empty_like(inner)
         out[order] = np.linalg.cholesky(inner + 1e-14 * np.diag(np.diag(inner)))
@@ -417,29 +440,35 @@ class SpecimenTarget:
         """Log densities of vectors up to a constant, (n, size) -> (n,); minus infinity where not passive."""
         return np.concatenate([self._density(part) for part in self._parts(x)])
 
-    def _density(self, x: FloatArray) -> FloatArray:
-        """Log densities of some vectors, (n,)."""
-        shared, prior = self._about_contact(x), self.optimum.prior
+    def _density(self, x: FloatArray, given: Conditional | None = None) -> FloatArray:
+        """Log densities of some vectors, (n,); ``given``: the normal that their linear parameters follow."""
+        shared, prior = x[:, : self.n_shared], self.optimum.prior
         out = self._log_prior(x, shared)
         out[(shared @ prior.cone.T - prior.least < self._slack).any(axis=1)] = -np.inf
         inside = np.flatnonzero(np.isfinite(out))
-        if inside.size:
+        if given is not None:
+            left = given.residual - (x[:, None, self.linear_places] @ given.basis)[:, 0]
+            out[inside] += self._of_noise(x, (left**2).sum(axis=1), given.log_det)[inside]
+        elif inside.size:
             out[inside] += self._log_likelihood(x[inside], shared[inside])
         return out
+
+    def _of_noise(self, x: FloatArray, square: FloatArray, log_det: FloatArray) -> FloatArray:
+        """Log likelihoods of vectors from their squares in units of the noise, (n,)."""
+        ln_sigma = x[:, self.places["ln_sigma"]]
+        if "ln_memory" not in self.places:
+            square = square + self.system.within_N2 * np.exp(-2.0 * ln_sigma)
+        return np.asarray(-0.5 * square - self.samples * ln_sigma - 0.5 * log_det)
 
     def _log_likelihood(self, x: FloatArray, shared: FloatArray) -> FloatArray:
         """Log likelihoods of passive vectors, what is the logs' own integrated, (n,)."""
         point = self.optimum.point.moved(self._unscaled(shared), own := self._expected(x))
-        ln_sigma = x[:, self.places["ln_sigma"]]
         integrated = not self.alone
         force = self.system.near(point)
         rows = (self.system.force - force)[None]
         white, log_det = self._whitened(x, np.concatenate([rows, self.by_own(force)]) if integrated else rows)
-        square = (white[0] ** 2).sum(axis=1)
-        if "ln_memory" not in self.places:
-            square += self.system.within_N2 * np.exp(-2.0 * ln_sigma)
-        value = -0.5 * square - self.samples * ln_sigma - 0.5 * log_det
-        return np.asarray(value + self._integrated(x, own, white) if integrated else value)
+        value = self._of_noise(x, (white[0] ** 2).sum(axis=1), log_det)
+        return value + self._integrated(x, own, white) if integrated else value
 
     def _expected(self, x: FloatArray) -> FloatArray:
         """Own parameters about which the logs' are integrated: gains that undo the common scale."""
@@ -487,8 +516,8 @@ class SpecimenTarget:
 
     def densities(self, z: FloatArray) -> FloatArray:
         """Log densities of points whose cut machine is given by quantiles, (n, d) -> (n,)."""
-        x = self.vectors(z)
-        out = self.density(x)
+        x = self._spread(z)
+        out = self._levels(x, z)
         for k, (at, one) in enumerate(zip(self.cut_places, self._cut.values(), strict=False)):
             off = (x[:, at] - one.mean) / one.sd
             out += 0.5 * off**2 - 0.5 * z[:, k] ** 2
@@ -518,11 +547,9 @@ class NormalTarget:
 
     def __init__(self, base: SpecimenTarget, covariance: FloatArray) -> None:
         root = base.factor(covariance)
-        to_old = np.linalg.solve(base.root, root)
-        self.rows, self.walls, self.likely = base.rows @ to_old, base.walls, base.likely
-        # the unbounded minimum stays where it is
-        self.centre = np.linalg.solve(to_old, base.centre)
-        base.root, base.straight = root, True
+        self.rows, self.walls, self.likely = base.wall_rows @ root, base.walls, base.likely
+        self.centre: FloatArray = np.asarray(np.linalg.solve(root, base.lowest), dtype=np.float64)
+        base.root, base.straight, base.follows = root, True, False
         self.machine, self.size = len(base.machine_places), base.size
 
     def bent(self, z: FloatArray) -> FloatArray:
@@ -557,31 +584,3 @@ def _of_mean(factor: FloatArray, half: FloatArray, own: FloatArray) -> FloatArra
     root = np.linalg.cholesky(loose)
     square = (np.linalg.solve(root, off[..., None])[..., 0] ** 2).sum(axis=1)
     return np.asarray(0.5 * square + np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1))
-
-
-def _shifted(rows: FloatArray, by: FloatArray, lowest: int) -> FloatArray:
-    """Coefficients of polynomials in u from those in u + by, powers from ``lowest``, (..., p) -> (..., p)."""
-    out, p = np.array(rows), rows.shape[-1]
-    for i in range(p):
-        for k in range(i + 1, p):
-            out[..., i] += math.comb(k + lowest, i + lowest) * by ** (k - i) * rows[..., k]
-    return out
-
-
-def _quantile(prior: CalibrationPrior, z: FloatArray) -> FloatArray:
-    """Values of a cut normal at standard normal coordinates."""
-    if not math.isfinite(prior.lower):
-        return np.asarray(prior.mean + prior.sd * z)
-    left = float(ndtr((prior.mean - prior.lower) / prior.sd))
-    # by the upper tail, which keeps its digits
-    upper = np.clip(ndtr(-z) * left, 1e-300, 1.0 - 1e-16)
-    return np.asarray(np.maximum(prior.mean - prior.sd * ndtri(upper), prior.lower))
-
-
-def _coordinate(prior: CalibrationPrior, value: FloatArray) -> FloatArray:
-    """Standard normal coordinates of values of a cut normal, kept from the ends."""
-    if not math.isfinite(prior.lower):
-        return np.asarray((value - prior.mean) / prior.sd)
-    left = float(ndtr((prior.mean - prior.lower) / prior.sd))
-    upper = ndtr((prior.mean - value) / prior.sd) / left
-    return np.asarray(-ndtri(np.clip(upper, 1e-6, 1.0 - 1e-6)))
