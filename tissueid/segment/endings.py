@@ -229,7 +229,8 @@ def _is_held(path: Path, rises: int, slow: Piece) -> bool:
     ramp_s, slow_s = ramp.took_s(path), slow.took_s(path)
     if slow.stop - slow.start < FEWEST_HELD or not (ramp_s > 0.0 and slow_s > 0.0):
         return False
-    late = Piece(0, slow.start + (slow.stop - slow.start) // 10, slow.stop)  # behind a slow stop
+    # behind a slow stop, which takes a share of the ramp
+    late = Piece(0, slow.start + min(slow.stop - slow.start, slow.start - rises) // 10, slow.stop)
     held = path.force_N[late.start : late.stop + 1]
     level = float(np.median(held))
     rise = level - float(np.median(path.force_N[rises : rises + 5]))
