@@ -5,7 +5,7 @@ A press into a tissue of two branches: every grammar must give back its samples,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import pytest
 from ingest_files import codes, put, read, refusal
 
 from tissueid.ingest import read_each
+from tissueid.ingest.vocabulary import CHANNELS
 from tissueid.segment import segment
 from tissueid.trial import Segmentation, Trial
 
@@ -102,23 +103,30 @@ def test_tables_side_by_side_may_be_parted_by_an_empty_column(tmp_path: Path, ab
     assert peaks == pytest.approx([max(r[2] for r in PRESS)] * 2, rel=1e-3)
 
 
-def by_a_spreadsheet(value: float) -> str:
-    """Four decimals after a spreadsheet that takes a point for thousands: ``1.0114`` becomes ``10,114``."""
-    shown = f"{value:.4f}".rstrip("0").rstrip(".")
+def by_a_spreadsheet(value: float, decimals: int) -> str:
+    """A number after a spreadsheet that takes a point for thousands: ``1.0114`` becomes ``10,114``."""
+    shown = f"{value:.{decimals}f}".rstrip("0").rstrip(".")
     return f"{int(shown.replace('.', '')):,}" if value >= 1.0 and "." in shown else shown.replace(".", ",")
 
 
-@pytest.mark.parametrize(("channel", "name"), [(1, "displacement"), (2, "force")])
-def test_tenths_that_a_spreadsheet_made_are_refused(tmp_path: Path, channel: int, name: str) -> None:
-    def cells(row: Row) -> Iterator[str]:
-        for k, value in enumerate(row):
-            value += 0.0037 * row[0] * (k > 0)  # so that digits differ from row to row
-            yield by_a_spreadsheet(value) if k == channel else f"{value:.4f}".replace(".", ",")
-
-    text = "Time;Displacement;Force\n(s);(mm);(N)\n" + "".join(";".join(cells(row)) + "\n" for row in PRESS)
+@pytest.mark.parametrize(
+    ("channel", "decimals", "most"), [(1, 4, 99.0), (2, 4, 99.0), (1, 4, 1.03), (1, 5, 1.009), (2, 4, 2.0)]
+)
+def test_tenths_that_a_spreadsheet_made_are_refused(
+    tmp_path: Path, channel: int, decimals: int, most: float
+) -> None:
+    # digits differ from row to row
+    rows = [[value + 0.0037 * row[0] * (k > 0) for k, value in enumerate(row)] for row in PRESS]
+    text = "Time;Displacement;Force\n(s);(mm);(N)\n"
+    for row in rows[: next((k for k, row in enumerate(rows) if row[channel] > most), None)]:
+        sound = [f"{value:.4f}".replace(".", ",") for value in row]
+        text += (
+            ";".join([*sound[:channel], by_a_spreadsheet(row[channel], decimals), *sound[channel + 1 :]])
+            + "\n"
+        )
     error = refusal(put(tmp_path / "a.csv", text))
     assert (error.code, error.column) == ("damaged_number", channel + 1)
-    assert f"the {name} is" in error.message
+    assert f"the {CHANNELS[channel]} is" in error.message
     assert "original export" in error.message
 
 
@@ -131,11 +139,13 @@ def test_counts_of_a_logger_and_noise_about_zero_have_lost_no_marks(tmp_path: Pa
     assert trial.force_N.max() == pytest.approx(max(r[2] for r in rows), abs=1e-3)
 
 
-@pytest.mark.parametrize("kind", ["noise", "square wave of 1 and 10"])
+@pytest.mark.parametrize("kind", ["noise", "square wave of 1 and 10", "a jump to where digits are fewer"])
 def test_noise_and_steps_are_no_tenths(tmp_path: Path, kind: str) -> None:
     rng = np.random.default_rng(3)
     force = rng.normal(0.0, 1.0, 4000) if kind == "noise" else np.repeat([1.0, 10.0] * 1000, 2)
-    rows = "".join(f"{0.01 * i:.2f},{0.001 * i:.4f},{f:.4f}\n" for i, f in enumerate(force))
+    if "jump" in kind:
+        force = np.linspace(0.9, 0.99, 4000) + 8.5 * (np.arange(4000) > 2000)
+    rows = "".join(f"{0.01 * i:.2f},{0.001 * i:.4f},{f:.4g}\n" for i, f in enumerate(force))
     assert read(put(tmp_path / "a.csv", "Time (s),Position (mm),Force (N)\n" + rows)).force_N.size == 4000
 
 

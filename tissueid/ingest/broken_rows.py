@@ -25,9 +25,12 @@ FEWEST_ROWS, REACH = 20, 50
 LOST_TIMES, LOST_STEPS = 5.0, 20.0
 #: Rows without decimals in a run, from which on the run is no accident of round numbers.
 LOST_RUN = 3
-#: Rows that are a tenth of both their neighbours, as a share of all, and the share of the largest value that
-#: these have at least; the neighbours agree within a share of themselves, the tenth within the digits left.
-TENTHS_SHARE, TENTHS_HEIGHT, ALIKE, LEFT_DIGITS = 0.01, 0.05, 0.1, 1e-3
+#: Rows that are a tenth of their neighbours on both sides, as a share of all, from and to, and the share of
+#: the largest value that these have at least; they agree within a share of themselves, the tenth within its
+#: digits.
+TENTHS_SHARE, TENTHS_MOST, TENTHS_HEIGHT, ALIKE, LEFT_DIGITS = 0.01, 0.25, 0.05, 0.1, 1e-3
+#: A number whose mark is lost goes on within so many of the steps beside it.
+GOES_ON = 4.0
 #: Steps that exchanged columns continue crosswise within this share of what they jump by.
 CROSSWISE = 0.05
 #: Usual steps of travel, and of force, by which no sample stands off both its neighbours.
@@ -78,11 +81,12 @@ def _falling_time(time: FloatArray, what: str) -> BrokenRow | None:
 
 def _broken_row(columns: Sequence[FloatArray], fractional: Sequence[NDArray[np.bool_]]) -> BrokenRow | None:
     if columns[0].size < FEWEST_ROWS:
-        return None
+        return _tenths(columns)
     travel, force = columns[1], columns[2]
     steps = np.abs(np.diff(travel)), np.abs(np.diff(force))
     return (
         _lost_marks(columns, fractional)
+        or _thousands(columns)
         or _tenths(columns)
         or _exchanged(travel, force, steps)
         or _foreign(travel, force, steps)
@@ -116,12 +120,14 @@ def _tenths(columns: Sequence[FloatArray]) -> BrokenRow | None:
     A spreadsheet that takes points for thousands makes ``1.0114`` 10,114, but leaves ``1.063`` at 1,063.
     """
     for k, column in enumerate(columns):
-        before, here, after = column[:-2], column[1:-1], column[2:]
-        mean, apart = np.abs(before + after) / 2.0, np.abs(after - before)
-        tenth = np.abs(10.0 * np.abs(here) - mean) <= apart + LEFT_DIGITS * mean
-        tenth &= (apart <= ALIKE * mean) & (mean > TENTHS_HEIGHT * np.abs(column).max())
-        rows = np.flatnonzero(tenth) + 1
-        if rows.size >= max(LOST_RUN, TENTHS_SHARE * column.size):
+        size = np.pad(np.abs(column), 2, mode="edge")
+        two = np.maximum(size[1:], size[:-1])  # of which one may be a tenth itself
+        before, here, after = two[:-3], size[2:-2], two[3:]
+        mean, apart = (before + after) / 2.0, np.abs(after - before)
+        tenth = np.abs(10.0 * here - mean) <= apart + LEFT_DIGITS * mean
+        tenth &= (apart <= ALIKE * mean) & (mean > TENTHS_HEIGHT * size.max())
+        rows = np.flatnonzero(tenth[1:-1]) + 1
+        if max(LOST_RUN, TENTHS_SHARE * column.size) <= rows.size <= TENTHS_MOST * column.size:
             around = column[rows[0] - 1 : rows[0] + 2]
             message = (
                 f"the {CHANNELS[k]} is {around[1]:g} between {around[0]:g} and {around[2]:g}, and {rows.size}"
@@ -129,6 +135,31 @@ def _tenths(columns: Sequence[FloatArray]) -> BrokenRow | None:
                 " original export"
             )
             return BrokenRow(int(rows[0]), k, "damaged_number", message)
+    return None
+
+
+def _thousands(columns: Sequence[FloatArray]) -> BrokenRow | None:
+    """The first number from 1 on that a spreadsheet grouped by thousands: it is left with three decimals."""
+    for k, column in enumerate(columns):
+        size = np.abs(column)
+        below = size < 1.0
+        coarse = np.abs(1e3 * size - np.rint(1e3 * size)) <= 1e-6 * np.maximum(size, 1.0)
+        if not coarse[~below].all() or 2 * np.count_nonzero(coarse & below) >= np.count_nonzero(below):
+            continue
+        least, most = np.minimum(size[1:], size[:-1]), np.maximum(size[1:], size[:-1])
+        for row in (np.flatnonzero((most >= 1.0) & (most >= LOST_TIMES * least)) + 1).tolist():
+            up = size[row] > size[row - 1]
+            at = row if up else row - 1
+            towards = column[max(0, row - REACH) : row] if up else column[row : row + REACH][::-1]
+            value = float(column[at])
+            step = GOES_ON * float(np.abs(np.diff(towards[-4:])).max(initial=0.0))
+            off = min(abs(value / times - float(towards[-1])) for times in (10.0, 100.0))
+            if off <= step and _leaps(towards, value):
+                message = (
+                    f"the {CHANNELS[k]} is {value:g} beside {towards[-1]:g}, with three decimals from 1 on: a"
+                    " spreadsheet took decimal marks for thousands; go back to the original export"
+                )
+                return BrokenRow(at, k, "damaged_number", message)
     return None
 
 
