@@ -178,3 +178,27 @@ def test_a_second_head_with_other_units_is_refused_and_the_same_head_is_said(tmp
     other = [line.replace("(N)", "(kN)") for line in again]
     one = refusal(export(tmp_path / "other.csv", other))
     assert one.line == 26
+
+
+@pytest.mark.parametrize("with_position", [True, False])
+def test_a_counter_that_starts_again_at_each_turn_is_no_displacement(tmp_path, with_position: bool) -> None:
+    text, z = "timestamp,direction,z,displacement,force\n", 0.75
+    rows = [(way, 0.5 * k) for way in ("DOWN", "UP") * 2 for k in range(25)]
+    for i, (way, counted) in enumerate(rows):
+        sign = 1.0 if way == "UP" else -1.0
+        z += sign * 0.5
+        force = 0.2 * max(0.0, -z - 6.0) ** 1.5 + 0.001 * (i % 3)
+        text += (
+            f"{1724677979.4 + 0.3 * i:.4f},{way},{z if with_position else ''},{sign * counted},{force:.3f}\n"
+        )
+    if not with_position:
+        text = (
+            "\n".join(",".join(line.split(",")[:2] + line.split(",")[3:]) for line in text.splitlines())
+            + "\n"
+        )
+    trial = read(put(tmp_path / "a.csv", text))
+    choice = [flag.values["taken"] for flag in trial.flags if flag.code == "column_choice"]
+    assert choice == (["z"] if with_position else [])
+    assert ("jump" in codes(trial)) is not with_position
+    leap = float(np.abs(np.diff(trial.displacement_mm)).max())
+    assert leap == pytest.approx(0.5 if with_position else 12.0)

@@ -37,6 +37,8 @@ CROSSWISE = 0.05
 FOREIGN_TRAVEL, FOREIGN_FORCE = 1e4, 1e2
 #: A jump that stays: so many times the steps beside it, and this share of the whole travel.
 BESIDE_TIMES, JUMP_SHARE, BESIDE = 20.0, 0.05, 5
+#: A counter that starts again leaps by so many of the steps beside it.
+RESTART_TIMES = 8.0
 #: An interval so many times the usual is a gap in the log.
 GAP_TIMES = 3.0
 
@@ -212,11 +214,35 @@ def _usual(steps: FloatArray) -> float:
     return float(np.median(moving)) if moving.size else np.inf
 
 
+def restart(time: FloatArray, travel: FloatArray) -> int | None:
+    """The row behind which a counter of travel starts again: the tool turns, and goes on at its speed."""
+    if travel.size < FEWEST_ROWS:
+        return None
+    step, took = np.diff(travel), np.diff(time)
+    leaps = np.abs(step) >= max(RESTART_TIMES * _usual(np.abs(step)), JUMP_SHARE * float(np.ptp(travel)))
+    for row in np.flatnonzero(leaps[BESIDE:-BESIDE]) + BESIDE:
+        sides = slice(row - BESIDE, row), slice(row + 1, row + 1 + BESIDE)
+        (came, goes_on), (before_s, after_s) = (
+            [float(x[side].sum()) for side in sides] for x in (step, took)
+        )
+        turns = came * step[row] < 0.0 < goes_on * step[row]
+        alike = turns and 0.5 <= abs(goes_on / came) * before_s / max(after_s, 1e-300) <= 2.0
+        beside = max(float(np.abs(step[side]).max()) for side in sides)
+        if alike and abs(step[row]) >= max(
+            RESTART_TIMES * beside, GAP_TIMES * abs(came) * took[row] / before_s
+        ):
+            return int(row)
+    return None
+
+
 def jump(time_s: FloatArray, displacement_mm: FloatArray) -> Flag | None:
     """``jump``, where the travel leaps between two samples and stays there."""
     if time_s.size < FEWEST_ROWS:
         return None
     steps = np.abs(np.diff(displacement_mm))
+    if (row := restart(time_s, displacement_mm)) is not None:
+        words = f"displacement leaps by {steps[row]:.3g} mm at a turn, as a counter does: export a position"
+        return Flag("jump", words, {"leap_mm": float(steps[row]), "at_s": float(time_s[row])})
     at = int(np.argmax(steps))
     leap = float(steps[at])
     if leap < max(FOREIGN_TRAVEL * _usual(steps), JUMP_SHARE * float(np.ptp(displacement_mm))):

@@ -11,10 +11,13 @@ from dataclasses import replace
 from itertools import pairwise
 
 from tissueid.errors import InputError
+from tissueid.flags import Flag
 from tissueid.ingest.appended import Part, recordings
 from tissueid.ingest.body import read_body
+from tissueid.ingest.broken_rows import restart
 from tissueid.ingest.clock import stated_interval
 from tissueid.ingest.columns import (
+    Channels,
     ColumnChoice,
     channel_columns,
     channel_names,
@@ -178,6 +181,8 @@ def read_table(
     """One laid-out table: its columns chosen, its rows read."""
     choice = _choice(layout, options, place)
     columns, flags = read_body(text, layout, choice, place)
+    if restart(columns[0], columns[1]) is not None:
+        choice, columns, flags = _continuous((text, layout, place), options, choice, (columns, flags))
     return Table(
         *columns,
         choice.names,
@@ -190,6 +195,34 @@ def read_table(
         flags=(*text.flags, *choice.flags, *flags),
         axes=choice.axes,
     )
+
+
+def _continuous(
+    source: tuple[Text, Layout, Place],
+    options: ReadOptions,
+    choice: ColumnChoice,
+    body: tuple[Channels, list[Flag]],
+) -> tuple[ColumnChoice, Channels, list[Flag]]:
+    """The columns without a displacement that starts again at each turn, where another fits and does not."""
+    text, layout, place = source
+    said = [
+        one for one in choice.flags if one.values.get("quantity") == "displacement" and "taken" in one.values
+    ]
+    for name in said[0].values["alternatives"] if said else ():
+        other = replace(options, columns={**options.columns, "displacement": name})
+        try:
+            taken = _choice(layout, other, place)
+            columns, flags = read_body(text, layout, taken, place)
+        except InputError:
+            continue
+        if restart(columns[0], columns[1]) is None:
+            counter = choice.names["displacement"]
+            words = (
+                f"displacement was taken from {name!r}, not from {counter!r}, which starts again at each turn"
+            )
+            values = {"quantity": "displacement", "taken": name, "alternatives": [counter]}
+            return taken, columns, [*flags, Flag("column_choice", words, values)]
+    return choice, *body
 
 
 def _choice(layout: Layout, options: ReadOptions, place: Place) -> ColumnChoice:
