@@ -189,6 +189,8 @@ def test_whole_numbers_may_have_lost_a_mark_where_they_are_coarse(tmp_path, head
     trial = read(written(tmp_path / "a.csv", head, timed((k * step for k in range(30)), travel)))
     assert codes(trial) == said
     assert len(said) < 2 or "--units time=ms" in trial.flags[1].message
+    path, units = tmp_path / "a.csv", {"displacement": "um"}
+    assert "no_decimals" not in codes(read(path, ReadOptions(units=units))) or "(um)" not in head
 
 
 def test_a_time_that_stands_still_is_refused(tmp_path: Path) -> None:

@@ -175,7 +175,11 @@ def test_whole_numbers_whose_marks_are_printed_have_lost_none(tmp_path: Path) ->
     head = "Time (s),Position (um),Force (mN)\n"
     text = table(lambda t, x, f: f'{t:.2f},"{1e3 * x:,.2f}","{1e3 * f:,.1f}"\n', head)
     bare = table(lambda t, x, f: f"{t:.2f},{1e3 * x:.0f},{1e3 * f:.1f}\n", head)
-    assert "no_decimals" not in codes(read(tmp_path / "a.csv", text))
+    powers = table(lambda t, x, f: f"{t:.2f},{100 * round(10 * x):.2E},{1e3 * f:.1f}\n", head)
+    assert not {"no_decimals"} & {
+        *codes(read(tmp_path / "a.csv", text)),
+        *codes(read(tmp_path / "c.csv", powers)),
+    }
     assert "no_decimals" in codes(read(tmp_path / "b.csv", bare))
 
 

@@ -265,6 +265,6 @@ def read_body(text: Text, layout: Layout, choice: ColumnChoice, place: Place) ->
     refuse_broken(
         columns, fractional, "file", place, lambda row, k: (reader.line_of_row(row), reader.wanted[k] + 1)
     )
-    doubt = lost_marks(columns, fractional, choice.factors, reader.first_row())
+    doubt = lost_marks(columns, fractional, choice, reader.first_row())
     flags += [] if doubt is None else [doubt]
     return choice.scaled(columns), flags

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
+from tissueid.ingest.columns import ColumnChoice
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.vocabulary import CHANNELS, Channel
 
@@ -266,16 +267,20 @@ FINEST = 2e-6
 _TIMES = 5.0
 _PADDED = re.compile(r"\s*[+-]?0\d+\s*")
 #: Zeros behind a mark that groups no thousands: the numbers are whole, and their marks are there.
-_MARKED = re.compile(r"\s*[+-]?(?:0[.,]\d+|[\d.,' ]*[.,](?:\d{1,2}|\d{4,}))\s*")
+_MARKED = re.compile(r"\s*[+-]?(?:0[.,]\d+|\d[.,]\d+[eE][+-]?\d+|[\d.,' ]*[.,](?:\d{1,2}|\d{4,}))\s*")
 
 
 def lost_marks(
     columns: Sequence[FloatArray],
     fractional: Sequence[NDArray[np.bool_]],
-    factors: Mapping[Channel, float],
+    choice: ColumnChoice,
     first_row: Sequence[str],
 ) -> Flag | None:
-    """Flag ``no_decimals`` for the first of the three channels, as printed, that may have lost its marks."""
+    """Flag ``no_decimals`` for the first of the three channels, as printed, that may have lost its marks.
+
+    What the user says is in a finer unit may well be whole.
+    """
+    factors = choice.factors
     for channel, cell in zip(CHANNELS, first_row, strict=False):
         if _PADDED.fullmatch(cell):
             return _flag(channel, f"is padded with zeros, first {cell.strip()!r}")
@@ -287,6 +292,8 @@ def lost_marks(
     all_whole = all(whole)
     counts = all_whole and max(factors.values()) < 1.0  # of a logger in ms, µm and mN
     for channel, column, is_whole in zip(CHANNELS, columns, () if counts else whole, strict=False):
+        if channel in choice.stated and factors[channel] < 1.0:
+            continue
         if is_whole and _worth_a_remark(channel, column, factors[channel], all_whole=all_whole):
             return _flag(channel, f"is a whole number in all {column.size} rows")
     for channel, column, decimals in zip(CHANNELS, columns, fractional, strict=True):
@@ -297,7 +304,8 @@ def lost_marks(
 
 
 def _flag(channel: Channel, what: str) -> Flag:
-    other = ", or is it in ms (--units time=ms)" if channel == "time" else ""
+    unit = {"time": "ms", "displacement": "um", "force": "mN"}[channel]
+    other = f", or is it in {unit} (--units {channel}={unit})" if "whole" in what else ""
     message = f"the {channel} as printed {what}: decimal marks lost{other}?"
     return Flag("no_decimals", message, {"quantity": channel})
 

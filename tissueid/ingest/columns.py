@@ -7,7 +7,7 @@ is no candidate; the user's map wins over everything.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -69,6 +69,7 @@ class ColumnChoice:
     flags: tuple[Flag, ...]
     axes: Mapping[str, str]  # channels that hold a strain or stress, as declared or as their columns say
     interval_s: float | None = None  # of samples whose time is no column, but counted
+    stated: Collection[str] = ()  # channels whose unit the user states
 
     def counted(self, columns: list[FloatArray]) -> list[FloatArray]:
         """Printed columns with the time by the number of the row, where that is no column."""
@@ -279,7 +280,8 @@ def choose_columns(
         factors["time"] = 1.0
         message = f"no column is the time: it is counted, {interval_s:g} s a row"
         flags.append(Flag("time_counted", message, {"interval_s": interval_s}))
-    return ColumnChoice(indices, printed, factors, tuple(flags), head.options.axes, interval_s)
+    stated = tuple(head.options.units)
+    return ColumnChoice(indices, printed, factors, tuple(flags), head.options.axes, interval_s, stated)
 
 
 def _user_column(head: _Head, channel: Channel, place: Place, line: int | None) -> _Column:
