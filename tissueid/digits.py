@@ -118,3 +118,12 @@ def plain_exponents(text: str) -> str:
     '1.2x10^-5'
     """
     return _POWER.sub(lambda found: f"{'x' * bool(found[1])}10^{found[2].translate(_LOWERED)}", text)
+
+
+#: A clock that stands at so much counts from an epoch [s].
+EPOCH_S = 1e8
+
+
+def clock_start(first_s: float) -> float:
+    """Start of a record whose clock counts from an epoch, from which its times are printed; else 0."""
+    return float(first_s) if abs(first_s) >= EPOCH_S else 0.0

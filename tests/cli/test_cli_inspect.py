@@ -36,6 +36,17 @@ def test_text_gives_speeds_in_both_units_and_the_stop(tmp_path):
     assert "because " in text
 
 
+def test_times_of_an_epoch_are_printed_from_the_start_of_the_record(tmp_path):
+    rows = [(0.1 * k, min(0.1 * k, 4.0)) for k in range(200)]
+    text = "".join(f"{1724331633.5 + t:.2f},{x:.3f},{3 * x + 0.5 * x * x:.3f}\n" for t, x in rows)
+    path = tmp_path / "a.csv"
+    path.write_text("Timestamp (s),Position (mm),Force (N)\n" + text, encoding="utf-8")
+    said = run("inspect", path, "-v").stdout
+    assert "clock       times below are from 1724331633.5 s on" in said
+    assert "  ramp        0 to 4 s" in said
+    assert "times run from 1724331634 to 1724331653 s" in run("inspect", path, "--hold-to", "4").stdout
+
+
 def test_page_and_json_of_one_run_agree(tmp_path):
     write_log(tmp_path / "data" / "one log.csv")
     page = tmp_path / "out.html"

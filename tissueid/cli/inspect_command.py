@@ -17,7 +17,7 @@ from msgspec import structs
 from tissueid.cli.flags import FILE, PATH, PORT, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, echo_json, note, progress_bar, write_output
 from tissueid.cli.reading import ReadingFlags, read_in_order, read_options, segment_options
-from tissueid.digits import with_error
+from tissueid.digits import clock_start, with_error
 from tissueid.documents.inspect import Trial, Watch
 from tissueid.documents.measured import MeasuredHold, MeasuredPush
 from tissueid.errors import exit_code, printable, refuse
@@ -140,43 +140,47 @@ def _print(one: Trial) -> None:
     sign = "positive" if one.compression_sign > 0 else "negative"
     echo(f"  samples     {one.n_samples}, compression is {sign} displacement")
     length, force = one.units.length, one.units.force
+    start_s = clock_start(one.first.time_s)
+    if start_s:
+        echo(f"  clock       times below are from {start_s:.12g} s on")
     for point, label in ((one.first, "first"), (one.peak_force, "peak force"), (one.last, "last")):
-        place = f"{point.time_s:.6g} s, {point.displacement_mm:.6g} {length}"
+        place = f"{point.time_s - start_s:.6g} s, {point.displacement_mm:.6g} {length}"
         echo(f"  {label:<11} {place}, {point.force_N:.6g} {force}")
     contact = one.contact
     if contact is not None:
         echo(f"  contact     {with_error(contact.displacement_mm, contact.sd_mm)} {length}")
-    _print_phases(one, length)
-    _print_corners(one, length)
+    _print_phases(one, start_s)
+    _print_corners(one, start_s)
     _print_cycles(one)
     for flag in one.flags:
         echo(f"  ! {flag.code}: {flag.message}", fg="yellow")
 
 
-def _print_phases(one: Trial, length: str) -> None:
+def _print_phases(one: Trial, start_s: float) -> None:
+    length = one.units.length
     for phase in one.phases:
-        line = f"  {phase.kind:<11} {phase.start_s:.6g} to {phase.end_s:.6g} s"
+        line = f"  {phase.kind:<11} {phase.start_s - start_s:.6g} to {phase.end_s - start_s:.6g} s"
         speed = phase.speed_mm_s
         if speed != 0.0:
             line += f", {speed:.4g} {length}/s ({speed * SECONDS_PER_MINUTE:.4g} {length}/min)"
         if phase.peak_s is not None:
-            line += f", deepest at {phase.peak_s:.6g} s"
+            line += f", deepest at {phase.peak_s - start_s:.6g} s"
         echo(line)
 
 
-def _print_corners(one: Trial, length: str) -> None:
+def _print_corners(one: Trial, start_s: float) -> None:
     from tissueid.report.wording import event_words, took
 
     for corner in one.corners:
-        line = f"  stop        at {corner.time_s:.6g} s, {took(corner.duration_s)}"
+        line = f"  stop        at {corner.time_s - start_s:.6g} s, {took(corner.duration_s)}"
         if corner.overshoot_mm > 0.0:
-            line += f", overshoot {corner.overshoot_mm:.2g} {length}"
+            line += f", overshoot {corner.overshoot_mm:.2g} {one.units.length}"
         if corner.ringing_swings > 1:
             line += f", rings {corner.ringing_swings} times"
         echo(line)
     for event in one.events:
         words = event_words(event.values, one.units)
-        echo(f"  {event.kind.replace('_', ' '):<11} at {event.time_s:.6g} s: {words}")
+        echo(f"  {event.kind.replace('_', ' '):<11} at {event.time_s - start_s:.6g} s: {words}")
 
 
 def _print_cycles(one: Trial) -> None:

@@ -6,13 +6,14 @@ Each number by itself is sound there; only the step to it gives it away.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
+from tissueid.digits import clock_start
 from tissueid.flags import Flag
 from tissueid.ingest.columns import ColumnChoice
 from tissueid.ingest.refusals import Place
@@ -255,7 +256,10 @@ def jump(time_s: FloatArray, displacement_mm: FloatArray) -> Flag | None:
     if beside.size == 0 or leap < BESIDE_TIMES * float(beside.max()):
         return None
     when = float(time_s[at])
-    message = f"the travel leaps by {leap:.3g} mm between two samples at {when:.4g} s: two recordings in one?"
+    shown_s = when - clock_start(time_s[0])
+    message = (
+        f"the travel leaps by {leap:.3g} mm between two samples at {shown_s:.4g} s: two recordings in one?"
+    )
     return Flag("jump", message, {"leap_mm": leap, "at_s": when})
 
 

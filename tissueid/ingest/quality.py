@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
+from tissueid.digits import clock_start
 from tissueid.flags import Flag
 from tissueid.ingest.broken_rows import jump
 from tissueid.ingest.header import stated
@@ -177,7 +178,7 @@ def spike(time_s: FloatArray, displacement_mm: FloatArray, force_N: FloatArray) 
     for name, unit, alone in found:
         at, off = max(alone, key=lambda one: abs(one[1]))
         first = min(i for i, _ in alone)
-        when = f" at {time_s[at]:g} s" if len(found) == 1 else ""
+        when = f" at {time_s[at] - clock_start(time_s[0]):g} s" if len(found) == 1 else ""
         parts.append(f"{len(alone)} of the {name}, by {abs(off):.3g} {unit}{when}")
         values |= {
             f"{name}_count": float(len(alone)),
@@ -408,7 +409,9 @@ def zero_dt(time_s: FloatArray, dt: FloatArray, tick_s: float = 0.0) -> Flag | N
     if not at.size:
         return None
     first = float(time_s[at[0]])
-    message = f"{at.size} rows repeat the time of the row before, first at {first:g} s"
+    message = (
+        f"{at.size} rows repeat the time of the row before, first at {first - clock_start(time_s[0]):g} s"
+    )
     values = {"count": int(at.size), "first_s": first}
     if tick_s > 0.0:
         message = f"{at.size} rows share a tick of the clock, {tick_s:g} s: spread evenly between ticks"
@@ -430,7 +433,8 @@ def event_rows(time_s: FloatArray, dt: FloatArray) -> Flag | None:
     if not at.size or at.size > max(1.0, _EVENTS_AT_MOST * dt.size):
         return None
     first, least = float(time_s[at[0] + 1]), float(dt[at].min())
-    message = f"{at.size} extra samples stand close beside their neighbours, first at {first:g} s, down to"
+    shown_s = first - clock_start(time_s[0])
+    message = f"{at.size} extra samples stand close beside their neighbours, first at {shown_s:g} s, down to"
     values = {"count": int(at.size), "first_s": first, "least_interval_s": least}
     return Flag("event_rows", f"{message} {least:.3g} s", values)
 
@@ -446,10 +450,11 @@ def gap(time_s: FloatArray, dt: FloatArray, force_N: FloatArray) -> Flag | None:
     around = dt[max(longest - _GAP_NEIGHBOURS, 0) : longest + _GAP_NEIGHBOURS + 1]
     usual = float(np.median(around))
     change = max((float(force_N[i + 1] - force_N[i]) for i in gaps), key=abs)
+    shown_s = time_s[longest] - clock_start(time_s[0])
     count = "1 gap" if len(gaps) == 1 else f"{len(gaps)} gaps"
     return Flag(
         "gap",
-        f"{count}, the longest of {dt[longest]:.3g} s at {time_s[longest]:g} s; force moves"
+        f"{count}, the longest of {dt[longest]:.3g} s at {shown_s:g} s; force moves"
         f" {abs(change):.3g} N unseen",
         {
             "count": len(gaps),

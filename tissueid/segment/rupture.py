@@ -219,7 +219,7 @@ def _work(path: Path, start: int, at: int) -> float:
     return float(np.trapezoid(f[inside], x[inside])) if inside.sum() > 1 else 0.0
 
 
-def rupture_flags(events: list[Event]) -> list[Flag]:
+def rupture_flags(events: list[Event], start_s: float) -> list[Flag]:
     """One flag each for the first rupture, slip and doubtful rupture, with their numbers."""
     flags: list[Flag] = []
     broken, slipped, doubtful = (
@@ -227,22 +227,24 @@ def rupture_flags(events: list[Event]) -> list[Flag]:
     )
     if broken:
         deep = f"{broken[0].values['depth_mm']:.3g} mm deep"
-        message = f"force falls by {_drop(broken[0])}, {deep}{_more(broken)}"
+        message = f"force falls by {_drop(broken[0], start_s)}, {deep}{_more(broken)}"
         flags.append(Flag("rupture", message, _values(broken)))
     if slipped:
-        message = f"force slips by {_drop(slipped[0])}{_more(slipped)} and recovers"
+        message = f"force slips by {_drop(slipped[0], start_s)}{_more(slipped)} and recovers"
         flags.append(Flag("slip", message, _values(slipped)))
     if doubtful:
         values = _values(doubtful)
         lost = f"{100 * values['drop_fraction']:.0f} % of the force is lost at the stop"
-        message = f"{lost}, {values['time_s']:.4g} s: relaxation or rupture?"
+        message = f"{lost}, {values['time_s'] - start_s:.4g} s: relaxation or rupture?"
         flags.append(Flag("doubtful_rupture", message, values))
     return flags
 
 
-def _drop(event: Event) -> str:
+def _drop(event: Event, start_s: float) -> str:
     values = event.values
-    return f"{values['drop_N']:.4g} N ({100 * values['drop_fraction']:.0f} %) at {event.time_s:.4g} s"
+    return (
+        f"{values['drop_N']:.4g} N ({100 * values['drop_fraction']:.0f} %) at {event.time_s - start_s:.4g} s"
+    )
 
 
 def _more(events: list[Event]) -> str:

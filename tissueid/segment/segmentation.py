@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.digits import clock_start
 from tissueid.flags import Flag
 from tissueid.segment.contact import find_contact
 from tissueid.segment.endings import (
@@ -126,7 +127,8 @@ def _windowed(trial: Trial, options: SegmentOptions) -> Segmentation:
         return _segment(trial, options)
     first, count = int(np.argmax(inside)), int(inside.sum())
     if count < FEWEST_SAMPLES:
-        message = f"{count} of {inside.size} samples lie between start_s and end_s: nothing to divide"
+        run = "times run from {:.10g} to {:.10g} s".format(*trial.time_s[[0, -1]])
+        message = f"{count} of {inside.size} samples are asked for: {run}"
         flags = _nothing(message, count, 0.0)
         return Segmentation(options.compression_sign or 1, options.force_sign or 1, None, (), 0.0, flags)
     window = slice(first, first + count)
@@ -341,7 +343,7 @@ def _remarks(
         if options.rupture:
             loading = [piece for piece in found if piece.direction > 0]
             broken = ruptures(path, loading, zero)
-            flags += rupture_flags(broken)
+            flags += rupture_flags(broken, clock_start(path.time_s[0]))
             events += broken
         endings = aborts(path, phases, protocol)
         endings += load_limits(path, phases, loops, zero=zero, stated_N=protocol.load_limit_N)

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.digits import clock_start
 from tissueid.flags import Flag
 from tissueid.segment.motion import Line, Path, Piece, quickens, straight_line
 from tissueid.trial import Corner, Event, Phase
@@ -261,7 +262,8 @@ def corner_flags(path: Path, phases: tuple[Phase, ...], corners: tuple[Corner, .
     braking_s, time_s, ramp_s = slow
     step_s = float(np.median(np.diff(path.time_s)))
     if braking_s > max(SLOW_STOP_S, SLOW_SHARE * ramp_s, SLOW_STEPS * step_s):
-        message = f"the crosshead takes {braking_s:.3g} s to come to its stop at {time_s:.4g} s"
+        shown_s = time_s - clock_start(path.time_s[0])
+        message = f"the crosshead takes {braking_s:.3g} s to come to its stop at {shown_s:.4g} s"
         flags.append(Flag("corner_slow", message, {"duration_s": braking_s, "time_s": time_s}))
     return flags
 
