@@ -65,6 +65,27 @@ def test_no_other_line_is_taken_for_a_rate_and_the_way_out_is_named(tmp_path: Pa
     assert "--columns time=100Hz" in str(error)
 
 
+@pytest.mark.parametrize(
+    ("head", "asked", "way_out"),
+    [
+        ("", None, "state the rate, as in --columns time=100Hz,displacement=#1,force=#2"),
+        ("", "10Hz", "name them by their numbers, as in --columns time=10Hz,displacement=#1,force=#2"),
+        ("x (mm),Force (N)\n", None, "state the rate, as in --columns time=100Hz"),
+        ("time (s),Force (N)\n", None, "export the displacement as well"),
+        ("x (mm),Force (N),Strain (%)\n", None, "or state the rate by time=100Hz"),
+    ],
+)
+def test_a_way_out_can_be_followed(tmp_path: Path, head: str, asked: str | None, way_out: str) -> None:
+    more = ",1.5" * (head.count(",") - 1)
+    path = put(tmp_path / "a.csv", head + "".join(f"{0.01 * k:.3f},{0.5 * k:.3f}{more}\n" for k in range(60)))
+    options = ReadOptions(columns={"time": asked} if asked else {})
+    message = refusal(path, options).message
+    assert message.endswith(way_out)
+    if "--columns" in way_out:
+        columns = dict(part.split("=") for part in way_out.split()[-1].split(","))
+        assert read(path, ReadOptions(columns=columns)).force_N[-1] == pytest.approx(29.5)
+
+
 @pytest.mark.parametrize(("asked", "interval_s"), [("100Hz", 0.01), ("1 kHz", 1e-3), ("10 ms", 0.01)])
 def test_the_user_states_a_rate_for_text_and_workbook(tmp_path: Path, asked: str, interval_s: float) -> None:
     options = ReadOptions(columns={"time": asked})

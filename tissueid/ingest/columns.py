@@ -53,9 +53,6 @@ _NORMALISED: Mapping[Quantity, re.Pattern[str]] = {
 #: Words of strain that need no unit to be taken as one, and words of what is none of the kind.
 _STRAIN_WITHOUT_UNIT = re.compile(r"stretch|strain|lambda|dehnung|应变")
 _NO_SERIES = re.compile(r"\b(?:rate|max|maximum|min|minimum|peak|yield|mean|modulus|at|sd|error)\b")
-_ADD_TIME = (
-    "relaxation can't be timed without it: export it as well, or state the rate, as in --columns time=100Hz"
-)
 _WAY_OUT = "name it with --columns time=NAME,displacement=NAME,force=NAME (or #2 for the second column)"
 
 
@@ -307,11 +304,27 @@ def _none_found(head: _Head, channel: Channel, place: Place, line: int | None) -
                 f" --units {channel}={INTERNAL_UNITS[wanted]}{_declare(column, channel)}"
             )
             return place.refusal("wrong_unit", message, line=line, column=column.index + 1)
+    return place.refusal(
+        "no_columns", f"no column is the {channel}; {head.seen()}; {_way_out(head, channel)}", line=line
+    )
+
+
+def _way_out(head: _Head, channel: Channel) -> str:
+    """What to do about a channel that no column is."""
+    found = [one for one in CHANNELS if one != channel and head.candidates(one)]
     named = [column for column in head.columns if column.name]
-    way_out = _WAY_OUT if channel != "time" or len(named or head.columns) > 2 else _ADD_TIME
-    if not named and way_out == _WAY_OUT:
-        way_out = "name them by their numbers, as in --columns time=#1,displacement=#2,force=#3"
-    return place.refusal("no_columns", f"no column is the {channel}; {head.seen()}; {way_out}", line=line)
+    count = len(named or head.columns)
+    if channel != "time" and count <= len(found):
+        return f"a recording is force over displacement: export the {channel} as well"
+    rate = head.options.columns["time"] if _asked(head, "time") else None
+    if count < len(CHANNELS) or rate:
+        numbers = "" if len(found) == len(CHANNELS) - 1 else ",displacement=#1,force=#2"
+        lost = "relaxation can't be timed without it: export it as well, or state the rate"
+        do = lost if channel == "time" else "name them by their numbers"
+        return f"{do}, as in --columns time={rate or '100Hz'}{numbers}"
+    if not named:
+        return "name them by their numbers, as in --columns time=#1,displacement=#2,force=#3"
+    return f"{_WAY_OUT}, or {'state the rate by time=100Hz' if channel == 'time' else 'export it as well'}"
 
 
 def _declare(column: _Column, channel: Channel) -> str:
