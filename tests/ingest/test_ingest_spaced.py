@@ -54,8 +54,11 @@ def test_columns_by_spaces_are_columns_under_their_names(head: str, tmp_path: Pa
     assert trial.force_N == pytest.approx(FORCE, abs=1e-4)
 
 
-def test_a_matrix_saved_as_text_is_read_by_column_numbers(tmp_path: Path) -> None:
-    text = table(lambda t, x, f: f"   {t:.7e}   {x:.7e}   {f:.7e}\n")
+@pytest.mark.parametrize(
+    "form", ["   {:.7e}   {:.7e}   {:.7e}\n", "{:.7f},\t{:.7f},\t{:.7f}\n", "{};\t{};\t{}\n"]
+)
+def test_a_matrix_saved_as_text_is_read_by_column_numbers(tmp_path: Path, form: str) -> None:
+    text = table(form.format)
     named = {"time": "#1", "displacement": "#2", "force": "#3"}
     trial = read(tmp_path / "a.dat", text, columns=named)
     assert trial.force_N == pytest.approx(FORCE, abs=1e-6)

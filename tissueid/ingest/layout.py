@@ -195,6 +195,7 @@ def _opens_results(rows: Sequence[Cells], index: int) -> bool:
     return named and (_carries_units(row) or (index + 1 < len(rows) and is_units_row(rows[index + 1])))
 
 
+_PADDED_BY_TABS = re.compile(r"\d[,;]\t")
 _DELIMITERS = (";", "\t", "|", ",")
 _TAIL_BYTES = 1 << 12
 #: Lines in which the table is sought, and how many of the last of them vote on the delimiter.
@@ -505,10 +506,16 @@ def _padded(row: Row, n_columns: int, *, comments: bool = False) -> Row:
 
 
 def _find_delimiter(lines: Sequence[str]) -> str:
-    """The delimiter with which most cells of most lines are numbers; the first of equals."""
+    """The delimiter with which most cells of most lines are numbers; the first of equals.
+
+    A tab behind a comma or semicolon is padding.
+    """
 
     def score(delimiter: str) -> float:
-        return sum(_numeric_share(split_line(line, delimiter)) for line in lines[-_SCORED_LINES:])
+        scored = [
+            line for line in lines[-_SCORED_LINES:] if delimiter != "\t" or not _PADDED_BY_TABS.search(line)
+        ]
+        return sum(_numeric_share(split_line(line, delimiter)) for line in scored)
 
     return max(_DELIMITERS, key=score)
 
