@@ -101,6 +101,15 @@ def test_a_last_row_cut_anywhere_is_left_out_and_flagged_or_whole(tmp_path):
     assert (trial.time_s.size, codes(trial)) == (40, ["cut_row"])
 
 
+@pytest.mark.parametrize(
+    ("tail", "size", "said"), [("0.0", 31, []), ("0.2", 31, ["cut_row"]), ("", 30, ["cut_row"])]
+)
+def test_a_last_zero_without_a_line_end_is_whole_where_zeros_are_left_off(tmp_path, tail, size, said) -> None:
+    rows = "".join(f"{0.1 * k:.2f},{0.5 * k:.3f},{round(0.123 * k, 3)}\n" for k in range(30))
+    trial = read(put(tmp_path / "a.csv", f"Time (s),Extension (mm),Load (N)\n{rows}3.00,15.000,{tail}"))
+    assert (trial.time_s.size, codes(trial)) == (size, said)
+
+
 def test_lines_without_numbers_are_left_out_and_flagged(tmp_path):
     lines = printed(count=10).splitlines(keepends=True)
     lines.insert(5, "paused by operator\r\n")

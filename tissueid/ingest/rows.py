@@ -107,7 +107,7 @@ def skipped_flag(lines: Sequence[int], what: str) -> Flag:
 
 _CELL = r'"((?:[^"]|"")*)"|([^"{d}]*)'
 #: Lines before the last one that say whether a column has fixed decimals.
-_LOOK_BACK = 5
+_LOOK_BACK = 50
 
 
 def _decimals(cell: str) -> int:
@@ -319,7 +319,8 @@ class RowReader:
             return "whole"
         before = {_decimals(row[-1]) for row in self._rows_before_tail()}
         if len(before) != 1 or before == {-1}:
-            return "doubtful"
+            # where zeros at the end are left off, this is all of a zero
+            return "whole" if cells[-1].strip() in ("0.0", "-0.0") and max(before) > 1 else "doubtful"
         return "cut" if _decimals(cells[-1]) < before.pop() else "whole"
 
     def _rows_before_tail(self) -> Sequence[list[str]]:
@@ -335,5 +336,5 @@ class RowReader:
 
 def cut_flag(number: int, line: str) -> Flag:
     """The last row is incomplete and was left out."""
-    message = f"line {number} is the last and incomplete: {line.strip()[:24]!r} was left out"
+    message = f"line {number} is the last and incomplete: {line.strip()[-_SHOWN:]!r} was left out"
     return Flag("cut_row", message, {"line": number, "kept": False})
