@@ -73,6 +73,17 @@ def test_a_hold_shows_the_stiffness_that_relaxes(tau, stiffness):
     assert shown == pytest.approx(driven * -np.expm1(-part) / part, rel=0.02, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("first_N", "said"), [(2.0, "under 2 N, its ramp as from 15"), (5.0, "under 5 N; contact")]
+)
+def test_the_force_at_the_start_is_told_as_measured_and_as_the_ramp_says(first_N, said):
+    time = np.arange(0.0, 4.0, 0.01)
+    force = 5.0 * (time + 1.0)
+    force[0] = first_N
+    found = segment(Trial("a", time, time, force + 1e-3 * np.cos(7e3 * time)))
+    assert any(said in flag.message for flag in found.flags if flag.code == "preload"), found.flags
+
+
 def test_no_hold_no_knowledge_of_what_relaxes():
     trial = held_preload(((1.0, 1.5),), hold_s=0.05)
     record = (trial.time_s, trial.displacement_mm, trial.force_N)

@@ -347,15 +347,16 @@ def _start_in_contact(
     if few >= FEWEST_AIR_SAMPLES and ahead < -PRELOAD_SD * noise_N / np.sqrt(few):
         # a tool at rest cannot be pulled by the tissue: this is where the load cell's zero lies
         zero, ahead, f = ahead, 0.0, f - ahead
-    back = 0.0
+    measured, back = ahead, 0.0
     if u.size >= FEWEST_SAMPLES:
         back = REACH * (max(ahead, 0.0) + REACH_SD * noise_N) / _least_slope(u, f, air)
         back = min(back, 2.0 * float(u.max() - start))
         fit = fit_contact(u, f, noise_N=noise_N, baseline=False, reach_back_mm=back)
         contact_mm, sd, believed = fit.contact_mm, fit.sd_mm, fit.at_start < PRELOAD_DENSITY
         if few < FEWEST_RESTING:
-            # the whole ramp says more of the force it starts from than a sample or two before it
-            ahead = max(ahead, fit.slope_N_per_mm * (start - contact_mm))
+            # the whole ramp says more of the force it starts from, which is below its middle, than a sample
+            says = fit.slope_N_per_mm * (start - contact_mm)
+            ahead = max(ahead, min(says, float(np.median(f))))
         if contact_mm < start:
             stiffness = (fit.secant_N_per_mm, fit.relaxing_share)
             before, sd = with_relaxed(start - contact_mm, sd, ahead, stiffness, relaxing, back)
@@ -367,12 +368,7 @@ def _start_in_contact(
     flags: list[Flag] = []
     if believed and ahead > PRELOAD_SHARE * float(np.ptp(f)) and contact_mm < start:
         contact = Contact(index=0, displacement_mm=compression * contact_mm, sd_mm=sd)
-        values = {"force_N": ahead, "before_mm": start - contact_mm, "sd_mm": sd}
-        message = (
-            f"the record starts under {ahead:.3g} N; contact is extrapolated "
-            f"{start - contact_mm:.3g} mm back, sd {sd:.2g} mm"
-        )
-        flags.append(Flag("preload", message, values))
+        flags.append(_preload(measured, ahead, start - contact_mm, sd))
     else:
         # the first sample is quoted, so its distance from what the force says is part of its sd
         sd = float(np.hypot(sd, contact_mm - start))
@@ -392,6 +388,14 @@ def _start_in_contact(
         message = f"force does not tell contact at the start {later}"
     flags.append(Flag("starts_in_contact", message, {"sd_mm": contact.sd_mm}))
     return contact, flags + _uncertain(contact, u)
+
+
+def _preload(measured_N: float, force_N: float, before_mm: float, sd_mm: float) -> Flag:
+    """The force that a record starts under, as measured, and as its ramp says where that is more."""
+    ramp = f", its ramp as from {force_N:.3g} N" if force_N > measured_N else ""
+    back = f"contact is extrapolated {before_mm:.3g} mm back, sd {sd_mm:.2g} mm"
+    values = {"force_N": force_N, "before_mm": before_mm, "sd_mm": sd_mm}
+    return Flag("preload", f"the record starts under {measured_N:.3g} N{ramp}; {back}", values)
 
 
 def _doubt(air: HingeFit, contact: Contact, u: FloatArray, compression: int) -> float:
