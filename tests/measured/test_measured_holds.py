@@ -167,6 +167,15 @@ def test_forces_count_from_rest_where_there_is_no_air():
     assert measure(trial, replace(divided, contact=None)).push.depth_mm is None
 
 
+def test_two_rows_at_rest_under_a_pull_are_the_load_cells_zero():
+    time = 0.05 * np.arange(45)
+    depth = np.clip(time - 0.05, 0.0, None) * 30.0
+    trial = Trial("a", time, depth, -14.3 + 0.15 * depth + 0.01 * np.cos(7e3 * time))
+    found = measure(trial, segment(trial))
+    assert (found.base.recorded_N, found.base.source) == (pytest.approx(-14.3, abs=0.02), "rest")
+    assert found.push.peak.force_N == pytest.approx(0.15 * depth[-1], abs=0.1)
+
+
 def test_a_hold_that_a_rupture_cut_is_kept_and_marked():
     trial, divided = recording()
     (hold,) = measure(trial, replace(divided, events=(Event("rupture", 150, 1.5),))).holds

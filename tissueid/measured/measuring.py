@@ -137,6 +137,8 @@ def _base(trial: Trial, segmentation: Segmentation) -> Base:
     # the last sample at rest is the first of the move
     if moving is not None and moving.start >= LEAST_REST:
         return Base(float(np.median(trial.force_N[: moving.start])), "rest")
+    if contact is not None and contact.baseline_N != 0.0:  # of rows at rest, where tissue can't pull
+        return Base(contact.baseline_N, "rest")
     return Base(0.0, "recorded")
 
 

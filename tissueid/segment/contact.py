@@ -344,7 +344,7 @@ def _start_in_contact(
     few = _resting(u)
     ahead = float(f[:few].mean())
     zero = 0.0
-    if few >= FEWEST_AIR_SAMPLES and ahead < -PRELOAD_SD * noise_N / np.sqrt(few):
+    if few >= FEWEST_ZERO_SAMPLES and ahead < -PRELOAD_SD * noise_N / np.sqrt(few):
         # a tool at rest cannot be pulled by the tissue: this is where the load cell's zero lies
         zero, ahead, f = ahead, 0.0, f - ahead
     measured, back = ahead, 0.0
