@@ -72,6 +72,7 @@ def test_no_other_line_is_taken_for_a_rate_and_the_way_out_is_named(tmp_path: Pa
         ("", "10Hz", "name them by their numbers, as in --columns time=10Hz,displacement=#1,force=#2"),
         ("x (mm),Force (N)\n", None, "state the rate, as in --columns time=100Hz"),
         ("time (s),Force (N)\n", None, "export the displacement as well"),
+        ("max_force_N,Modulus (MPa),width_mm\n", None, "are results, not samples: export the raw data"),
         ("x (mm),Force (N),Strain (%)\n", None, "or state the rate by time=100Hz"),
     ],
 )

@@ -58,6 +58,8 @@ from tissueid.units import INTERNAL_UNITS, KNOWN_UNITS, KNOWN_WORDS, REPEATS, fa
         ("Time_S,Displacement_mm,Force_N", (1, 1)),
         ("Time (s),Deformation (mm),Loadcell (N)", (1, 1)),
         ("time_s,pos_z_mm,fz_N", (1, 1)),
+        ("time_s,pos_z_mm,force_normal_N", (1, 1)),
+        ("time_s,pos_z_mm,normal_force_N", (1, 1)),
         ("Time (s),伸び (mm),荷重 (N)", (1, 1)),
         ("Čas (s),Posun (mm),Síla (N)", (1, 1)),
         ("Zaman (sn),Uzama (mm),Kuvvet (N)", (1, 1)),

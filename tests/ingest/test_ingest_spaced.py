@@ -62,6 +62,8 @@ def test_a_matrix_saved_as_text_is_read_by_column_numbers(tmp_path: Path, form: 
     named = {"time": "#1", "displacement": "#2", "force": "#3"}
     trial = read(tmp_path / "a.dat", text, columns=named)
     assert trial.force_N == pytest.approx(FORCE, abs=1e-6)
+    counted = read(tmp_path / "b.dat", f"{len(FORCE)}\n{text}", columns=named)
+    assert (counted.source.columns, counted.time_s.size) == (named, len(FORCE))
     with pytest.raises(InputError, match="name them by their numbers, as in --columns time=#1"):
         read(tmp_path / "a.dat", text)
 

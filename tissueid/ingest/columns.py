@@ -92,6 +92,11 @@ class _Column:
     units: tuple[str, ...]  # as printed: of the units row, then of the name
 
     @property
+    def shown(self) -> str:
+        """Its name, else its number."""
+        return self.name or f"#{self.index + 1}"
+
+    @property
     def unit(self) -> str | None:
         return self.units[0] if self.units else None
 
@@ -267,7 +272,7 @@ def choose_columns(
             values = {"quantity": channel, "taken": name, "alternatives": others}
             flags.append(Flag("column_choice", message, values))
     indices = {channel: column.index for channel, column in taken.items()}
-    printed = {channel: column.name for channel, column in taken.items()}
+    printed = {channel: column.shown for channel, column in taken.items()}
     factors = {
         channel: _factor(head, column, channel, place, line, flags) for channel, column in taken.items()
     }
@@ -299,7 +304,7 @@ def _none_found(head: _Head, channel: Channel, place: Place, line: int | None) -
     for column in head.columns:
         if column.unit and head.may_be(column, channel) and quantity_of(column.unit) != wanted:
             message = (
-                f"column {column.name!r} is in {column.unit!r}, which does not measure {wanted}, and"
+                f"column {column.shown!r} is in {column.unit!r}, which does not measure {wanted}, and"
                 f" there is no other; {_WAY_OUT}, or state the unit with"
                 f" --units {channel}={INTERNAL_UNITS[wanted]}{_declare(column, channel)}"
             )
@@ -316,6 +321,9 @@ def _way_out(head: _Head, channel: Channel) -> str:
     count = len(named or head.columns)
     if channel != "time" and count <= len(found):
         return f"a recording is force over displacement: export the {channel} as well"
+    results = [column for column in named if _NO_SERIES.search(plain_words(column.base))]
+    if not found and len(results) > 1:
+        return f"{results[0].name!r} and {results[1].name!r} are results, not samples: export the raw data"
     rate = head.options.columns["time"] if _asked(head, "time") else None
     if count < len(CHANNELS) or rate:
         numbers = "" if len(found) == len(CHANNELS) - 1 else ",displacement=#1,force=#2"
@@ -352,13 +360,13 @@ def _factor(
         factor = factor_to(options.units[channel], quantity)
         if column.unit is not None and not _agrees(column.unit, quantity, factor):
             unit = options.units[channel]
-            taken = f"column {column.name!r} is in {column.unit!r}; {unit!r} was taken by --units"
+            taken = f"column {column.shown!r} is in {column.unit!r}; {unit!r} was taken by --units"
             values = {"quantity": channel, "column": column.name, "unit": unit}
             flags.append(Flag("unit_overridden", taken, values))
         return factor
     internal = INTERNAL_UNITS[quantity]
     if column.unit is None:
-        message = f"column {column.name!r} has no unit; {internal} was assumed"
+        message = f"column {column.shown!r} has no unit; {internal} was assumed"
         if rank_of(column.base, channel, loose=True) == SYMBOL_RANK and channel in AXES:
             message += f" (a {AXES[channel][1]}? --axes {channel}={AXES[channel][1]})"
         values = {"quantity": channel, "column": column.name, "unit": internal}
@@ -369,13 +377,13 @@ def _factor(
     except ValueError as error:
         known = any(quantity_of(unit) not in (None, quantity) for unit in column.units)
         message = (
-            f"column {column.name!r}: {error}; or state it with --units {channel}={internal}"
+            f"column {column.shown!r}: {error}; or state it with --units {channel}={internal}"
             f"{_declare(column, channel)}"
         )
         place.refuse("wrong_unit" if known else "unknown_unit", message, line=line, column=column.index + 1)
     if len(set(factors)) > 1:
         message = (
-            f"column {column.name!r} is in {column.units[0]!r} by its units row and in {column.units[1]!r}"
+            f"column {column.shown!r} is in {column.units[0]!r} by its units row and in {column.units[1]!r}"
             f" by its name; state the right one with --units {channel}={column.units[0]}"
         )
         place.refuse("unit_conflict", message, line=line, column=column.index + 1)

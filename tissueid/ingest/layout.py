@@ -329,6 +329,8 @@ def _named_anchor(rows: Sequence[Row], first: int, options: ReadOptions) -> Anch
             return None  # what stands higher are results and their names
         if _numeric_share(rows[index]) > 0.0 or is_units_row(rows[index]):
             continue
+        if all(map(looks_numeric, _filled(rows[index]))):
+            continue  # how many rows follow
         below = [i for i in range(index + 1, first) if _filled(rows[i])][:_ROWS_OF_HEAD]
         units = next((i for i in below if is_units_row(rows[i])), None)
         if units is None and below and _stands_as_units(rows, index, below[0], options):

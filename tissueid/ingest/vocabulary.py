@@ -83,7 +83,7 @@ _NAMES: dict[Channel, dict[int, str]] = {
     },
     "force": {
         0: (  # the load cell
-            r"(?:standard |primary |axial |normal |vertical )?(?:force|load)(?: measurement| z)?"
+            r"(?:standard |primary |axial |normal |vertical )?(?:force|load)(?: measurement| z| normal)?"
             r"|force standard"
             r"|standard ?kraft|kraft|last|prufkraft|charge|effort(?: normal)?|fuerza(?: estandar)?|carga"
             r"|forca|forza(?: standard)?|carico|sila(?: standardowa)?|obciazenie"
