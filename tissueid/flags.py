@@ -39,7 +39,7 @@ _SERIOUS = {
         "The true peak was higher; stiffness is too low.", "Take a larger load cell, or less depth.",
         "have a clipped force", "repeat"),
     "too_few_samples": FlagKind("Samples", "too few samples to segment or fit",
-        "There is nothing to segment or fit.", "Sample faster, let the test run on, or state other times.",
+        "There is nothing to segment or fit.", "Sample faster, let the test run, or state other times.",
         "have too few samples", "repeat"),
     "no_contact": FlagKind("No contact", "no contact between tool and tissue was found",
         "The recording is not fitted.", "Start nearer, push deeper, or state --contact.",

@@ -74,7 +74,7 @@ def test_a_hold_shows_the_stiffness_that_relaxes(tau, stiffness):
 
 
 @pytest.mark.parametrize(
-    ("first_N", "said"), [(2.0, "under 2 N, its ramp as from 15"), (5.0, "under 5 N; contact")]
+    ("first_N", "said"), [(2.0, "under 2 N, by its ramp 15"), (5.0, "under 5 N; contact")]
 )
 def test_the_force_at_the_start_is_told_as_measured_and_as_the_ramp_says(first_N, said):
     time = np.arange(0.0, 4.0, 0.01)

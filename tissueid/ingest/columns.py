@@ -315,7 +315,7 @@ def _none_found(head: _Head, channel: Channel, place: Place, line: int | None) -
 
 
 def _way_out(head: _Head, channel: Channel) -> str:
-    """What to do about a channel that no column is."""
+    """Way out where no column is a channel."""
     found = [one for one in CHANNELS if one != channel and head.candidates(one)]
     named = [column for column in head.columns if column.name]
     count = len(named or head.columns)

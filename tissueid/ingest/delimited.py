@@ -179,10 +179,7 @@ def read_table(
     text: Text, layout: Layout, options: ReadOptions, place: Place, *, metadata: Mapping[str, str]
 ) -> Table:
     """One laid-out table: its columns chosen, its rows read."""
-    choice = _choice(layout, options, place)
-    columns, flags = read_body(text, layout, choice, place)
-    if restart(columns[0], columns[1]) is not None:
-        choice, columns, flags = _continuous((text, layout, place), options, choice, (columns, flags))
+    choice, columns, flags = _continuous(text, layout, options, place)
     return Table(
         *columns,
         choice.names,
@@ -198,31 +195,27 @@ def read_table(
 
 
 def _continuous(
-    source: tuple[Text, Layout, Place],
-    options: ReadOptions,
-    choice: ColumnChoice,
-    body: tuple[Channels, list[Flag]],
+    text: Text, layout: Layout, options: ReadOptions, place: Place
 ) -> tuple[ColumnChoice, Channels, list[Flag]]:
-    """The columns without a displacement that starts again at each turn, where another fits and does not."""
-    text, layout, place = source
-    said = [
-        one for one in choice.flags if one.values.get("quantity") == "displacement" and "taken" in one.values
-    ]
-    for name in said[0].values["alternatives"] if said else ():
+    """Columns and rows, of a displacement that starts again at each turn where no other fits and does not."""
+    first = choice = _choice(layout, options, place)
+    read = columns, flags = read_body(text, layout, choice, place)
+    said = [flag.values for flag in choice.flags if flag.values.get("quantity") == "displacement"]
+    names = [name for values in said for name in values.get("alternatives", ())]
+    while restart(columns[0], columns[1]) is not None:
+        if not names:
+            return first, *read
+        name, counter = names.pop(0), first.names["displacement"]
         other = replace(options, columns={**options.columns, "displacement": name})
         try:
-            taken = _choice(layout, other, place)
-            columns, flags = read_body(text, layout, taken, place)
+            choice = _choice(layout, other, place)
+            columns, flags = read_body(text, layout, choice, place)
         except InputError:
             continue
-        if restart(columns[0], columns[1]) is None:
-            counter = choice.names["displacement"]
-            words = (
-                f"displacement was taken from {name!r}, not from {counter!r}, which starts again at each turn"
-            )
-            values = {"quantity": "displacement", "taken": name, "alternatives": [counter]}
-            return taken, columns, [*flags, Flag("column_choice", words, values)]
-    return choice, *body
+        words = f"displacement was taken from {name!r}, not from {counter!r}, which starts again at each turn"
+        values = {"quantity": "displacement", "taken": name, "alternatives": [counter]}
+        flags = [*flags, Flag("column_choice", words, values)]
+    return choice, columns, flags
 
 
 def _choice(layout: Layout, options: ReadOptions, place: Place) -> ColumnChoice:

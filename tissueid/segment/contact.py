@@ -392,10 +392,9 @@ def _start_in_contact(
 
 def _preload(measured_N: float, force_N: float, before_mm: float, sd_mm: float) -> Flag:
     """The force that a record starts under, as measured, and as its ramp says where that is more."""
-    ramp = f", its ramp as from {force_N:.3g} N" if force_N > measured_N else ""
-    back = f"contact is extrapolated {before_mm:.3g} mm back, sd {sd_mm:.2g} mm"
-    values = {"force_N": force_N, "before_mm": before_mm, "sd_mm": sd_mm}
-    return Flag("preload", f"the record starts under {measured_N:.3g} N{ramp}; {back}", values)
+    ramp = f", by its ramp {force_N:.3g} N" if force_N > measured_N else ""
+    words = f"the record starts under {measured_N:.3g} N{ramp}; contact is {before_mm:.3g} mm back, sd {sd_mm:.2g} mm"
+    return Flag("preload", words, {"force_N": force_N, "before_mm": before_mm, "sd_mm": sd_mm})
 
 
 def _doubt(air: HingeFit, contact: Contact, u: FloatArray, compression: int) -> float:
