@@ -27,9 +27,8 @@ FEWEST_ROWS, REACH = 20, 50
 LOST_TIMES, LOST_STEPS = 5.0, 20.0
 #: Rows without decimals in a run, from which on the run is no accident of round numbers.
 LOST_RUN = 3
-#: Rows that are a tenth of their neighbours on both sides, as a share of all, from and to, and the share of
-#: the largest value that these have at least; they agree within a share of themselves, the tenth within its
-#: digits.
+#: Rows that are a tenth of both neighbours, as a share of all, from and to, and the share of the largest
+#: value that these have at least; they agree within a share of themselves, the tenth within the digits left.
 TENTHS_SHARE, TENTHS_MOST, TENTHS_HEIGHT, ALIKE, LEFT_DIGITS = 0.01, 0.25, 0.05, 0.1, 1e-3
 #: A number whose mark is lost goes on within so many of the steps beside it.
 GOES_ON = 4.0
@@ -223,16 +222,11 @@ def restart(time: FloatArray, travel: FloatArray) -> int | None:
     step, took = np.diff(travel), np.diff(time)
     leaps = np.abs(step) >= max(RESTART_TIMES * _usual(np.abs(step)), JUMP_SHARE * float(np.ptp(travel)))
     for row in np.flatnonzero(leaps[BESIDE:-BESIDE]) + BESIDE:
-        sides = slice(row - BESIDE, row), slice(row + 1, row + 1 + BESIDE)
-        (came, goes_on), (before_s, after_s) = (
-            [float(x[side].sum()) for side in sides] for x in (step, took)
-        )
-        turns = came * step[row] < 0.0 < goes_on * step[row]
-        alike = turns and 0.5 <= abs(goes_on / came) * before_s / max(after_s, 1e-300) <= 2.0
+        leap, sides = step[row], (slice(row - BESIDE, row), slice(row + 1, row + 1 + BESIDE))
+        came, goes_on = (float(step[side].sum() / max(took[side].sum(), 1e-300)) for side in sides)
+        alike = came * leap < 0.0 < goes_on * leap and 0.5 <= abs(goes_on / came) <= 2.0
         beside = max(float(np.abs(step[side]).max()) for side in sides)
-        if alike and abs(step[row]) >= max(
-            RESTART_TIMES * beside, GAP_TIMES * abs(came) * took[row] / before_s
-        ):
+        if alike and abs(leap) >= max(RESTART_TIMES * beside, GAP_TIMES * abs(came) * took[row]):
             return int(row)
     return None
 
@@ -256,11 +250,8 @@ def jump(time_s: FloatArray, displacement_mm: FloatArray) -> Flag | None:
     if beside.size == 0 or leap < BESIDE_TIMES * float(beside.max()):
         return None
     when = float(time_s[at])
-    shown_s = when - clock_start(time_s[0])
-    message = (
-        f"the travel leaps by {leap:.3g} mm between two samples at {shown_s:.4g} s: two recordings in one?"
-    )
-    return Flag("jump", message, {"leap_mm": leap, "at_s": when})
+    leapt = f"the travel leaps by {leap:.3g} mm between two samples at {when - clock_start(time_s[0]):.4g} s"
+    return Flag("jump", f"{leapt}: two recordings in one?", {"leap_mm": leap, "at_s": when})
 
 
 #: Rows from which a column of whole numbers is worth a remark.
@@ -280,10 +271,7 @@ def lost_marks(
     choice: ColumnChoice,
     first_row: Sequence[str],
 ) -> Flag | None:
-    """Flag ``no_decimals`` for the first of the three channels, as printed, that may have lost its marks.
-
-    What the user says is in a finer unit may well be whole.
-    """
+    """Flag ``no_decimals`` for the first of the three channels, as printed, that may have lost its marks."""
     factors = choice.factors
     for channel, cell in zip(CHANNELS, first_row, strict=False):
         if _PADDED.fullmatch(cell):
@@ -297,7 +285,7 @@ def lost_marks(
     counts = all_whole and max(factors.values()) < 1.0  # of a logger in ms, µm and mN
     for channel, column, is_whole in zip(CHANNELS, columns, () if counts else whole, strict=False):
         if channel in choice.stated and factors[channel] < 1.0:
-            continue
+            continue  # in a finer unit, as the user says, it may well be whole
         if is_whole and _worth_a_remark(channel, column, factors[channel], all_whole=all_whole):
             return _flag(channel, f"is a whole number in all {column.size} rows")
     for channel, column, decimals in zip(CHANNELS, columns, fractional, strict=True):

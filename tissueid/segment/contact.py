@@ -393,7 +393,8 @@ def _start_in_contact(
 def _preload(measured_N: float, force_N: float, before_mm: float, sd_mm: float) -> Flag:
     """The force that a record starts under, as measured, and as its ramp says where that is more."""
     ramp = f", by its ramp {force_N:.3g} N" if force_N > measured_N else ""
-    words = f"the record starts under {measured_N:.3g} N{ramp}; contact is {before_mm:.3g} mm back, sd {sd_mm:.2g} mm"
+    back = f"contact is {before_mm:.3g} mm back, sd {sd_mm:.2g} mm"
+    words = f"the record starts under {measured_N:.3g} N{ramp}; {back}"
     return Flag("preload", words, {"force_N": force_N, "before_mm": before_mm, "sd_mm": sd_mm})
 
 

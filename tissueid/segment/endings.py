@@ -217,10 +217,10 @@ def _placed(path: Path, rises: int, held: Held) -> Held:
     reach = max(FEWEST_HELD, (held.stop - held.start) // 4)
     around = max(rises + 1, held.start - reach), min(held.stop - 1, held.start + reach)
     start = corner_near(level, held.start, around, stands=(False, True))
-    last = min(held.stop + reach, path.time_s.size - 1)
-    if held.stop == last:
-        return Held(0, start, last)
-    return Held(0, start, corner_near(level, held.stop, (held.stop - reach, last), stands=(True, False)))
+    end, last = held.stop, min(held.stop + reach, path.time_s.size - 1)
+    if end < last:
+        end = corner_near(level, end, (end - reach, last), stands=(True, False))
+    return Held(0, start, end)
 
 
 def _is_held(path: Path, rises: int, slow: Piece) -> bool:
