@@ -9,7 +9,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.segment.motion import HOLD_DRIFT, Path, Piece, corner_near, corners, slope_of
+from tissueid.segment.motion import HOLD_DRIFT, MOVE_SAMPLES, Path, Piece, corner_near, corners, slope_of
 from tissueid.signal_noise import running_median
 from tissueid.trial import Event, Phase, Protocol
 
@@ -229,8 +229,9 @@ def _is_held(path: Path, rises: int, slow: Piece) -> bool:
     ramp_s, slow_s = ramp.took_s(path), slow.took_s(path)
     if slow.stop - slow.start < FEWEST_HELD or not (ramp_s > 0.0 and slow_s > 0.0):
         return False
-    # behind a slow stop, which takes a share of the ramp
-    late = Piece(0, slow.start + min(slow.stop - slow.start, slow.start - rises) // 10, slow.stop)
+    # behind a slow stop, which takes a share of the ramp, and samples
+    stopped = min(slow.stop - slow.start, max(slow.start - rises, 10 * MOVE_SAMPLES)) // 10
+    late = Piece(0, slow.start + stopped, slow.stop)
     held = path.force_N[late.start : late.stop + 1]
     level = float(np.median(held))
     rise = level - float(np.median(path.force_N[rises : rises + 5]))
