@@ -131,6 +131,7 @@ def test_a_named_device_that_is_missing_is_exit_5_and_never_replaced(words):
         (("home", "sim", "--port", "/dev/null"), "--port belongs to falcon"),
         (("test", "sim", "--firmware", "x"), "--firmware belongs to falcon"),
         (("home", "emulator", "--port", "/dev/null"), "emulator makes its own port"),
+        (("info", "falcon", "--calibration", "nope.toml"), "--calibration nope.toml: there is no such file"),
         (("test", "sim", "--save"), "--save keeps the calibration of a real device"),
         (("calibrate-force", "sim", "--mass", "100"), "the device sim has no calibration"),
         (("calibrate-force", "--mass", "5000"), "5000.0 is not in the range"),

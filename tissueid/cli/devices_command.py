@@ -88,6 +88,9 @@ def asked_device(flags: WayFlags | RenderFlags, *, hands_off: bool = False) -> A
     from tissueid.haptics.device import AskedDevice
 
     file = flags.calibration
+    keeps = hands_off or getattr(flags, "save", False)  # a measurement makes the file
+    if file is not None and not keeps and not Path(file).exists():
+        refuse(f"--calibration {file}: there is no such file; without it the user's own is taken")
     return AskedDevice(
         port=flags.port,
         firmware=flags.firmware,
@@ -154,7 +157,7 @@ def homed_for_calibration(flags: MovedFlags) -> Iterator[HapticDevice]:
 
 def save(device: HapticDevice, flags: DeviceFlags | MovedFlags, **changes: Any) -> None:
     """Put what was measured into the calibration file."""
-    file = asked_device(flags).calibration
+    file = asked_device(flags, hands_off=True).calibration
     said = f"not kept: the device {device.name} has no calibration; name a file with --calibration"
     if device.keeps(file):
         said = f"kept in {device.keep(file, changes)}"
