@@ -1,7 +1,7 @@
 """The servo's loops and their clock: absolute deadlines in real time, and virtual time; both call one tick.
 
 Missed deadlines are skipped, never replayed in a burst; a dead or silent owner, its wish to end and a signal
-are looked for every 5 ms, and end in zero force.
+are looked for every 5 ms, and end in zero force: after a signal, over the ramp of an owner's wish to end.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tissueid.haptics.limits import HEARTBEAT_S
 from tissueid.haptics.parameter_block import COMMAND_STOP, beats
 from tissueid.haptics.parameter_block import command as ordered
 from tissueid.haptics.states import Lamp
-from tissueid.rendering.servo_tick import MISSED, Servo, compiled_tick, tick
+from tissueid.rendering.servo_tick import MISSED, TOLD_TO_END, Servo, compiled_tick, tick
 
 #: int64 words of room: a ``timespec``, then one ``pollfd``.
 CLOCK_SIZE = 3
@@ -83,8 +83,8 @@ def new_watch(owner: int = -1, signals: int = -1, *, alive_wanted: bool = False)
 
 
 @tick_kernel
-def _look(servo: Servo, watch: IntArray, now_ns: int, room: IntArray) -> bool:
-    """Look outside; True if a signal came."""
+def _look(servo: Servo, watch: IntArray, now_ns: int, room: IntArray) -> None:
+    """Look outside."""
     if readable(watch[OWNER], room):
         transition(servo.guard_memory, servo.limits, PARENT_DIED)
     count = beats(servo.block_head)
@@ -93,17 +93,27 @@ def _look(servo: Servo, watch: IntArray, now_ns: int, room: IntArray) -> bool:
         watch[BEAT_NS] = now_ns
     elif watch[ALIVE_WANTED] != 0 and (now_ns - watch[BEAT_NS]) * 1e-9 > servo.limits[HEARTBEAT_S]:
         transition(servo.guard_memory, servo.limits, HEARTBEAT_LOST)
-    return readable(watch[SIGNALS], room)
+    if readable(watch[SIGNALS], room):
+        servo.counters[TOLD_TO_END] = 1
 
 
 @tick_part
 def _over(servo: Servo, watch: IntArray) -> bool:
-    """True where enough ticks of zero force followed a fault, or the owner's wish to end."""
+    """True where enough ticks of zero force followed a fault, a signal, or the owner's wish to end."""
     state = servo.guard_memory[STATE]
-    ending = state == FAULTED or (state != ENGAGED and ordered(servo.block_head) == COMMAND_STOP)
+    told = servo.counters[TOLD_TO_END] != 0 or ordered(servo.block_head) == COMMAND_STOP
+    ending = state == FAULTED or (state != ENGAGED and told)
     force = servo.out[0] != 0.0 or servo.out[1] != 0.0 or servo.out[2] != 0.0
     watch[ZEROS] = watch[ZEROS] + 1 if ending and not force else 0
     return bool(watch[ZEROS] >= ZERO_COMMANDS)
+
+
+@tick_part
+def _reason(servo: Servo) -> int:
+    """Reason why a loop is over."""
+    if servo.guard_memory[STATE] == FAULTED:
+        return ENDED_FAULT
+    return ENDED_SIGNAL if servo.counters[TOLD_TO_END] != 0 else ENDED_STOPPED
 
 
 @tick_part
@@ -135,13 +145,12 @@ def realtime_loop(
         lamp = _LATE if error * LATE_SHARE > period_ns else 0
         tick(io, servo, now * 1e-9, elapsed * 1e-9, (now - deadline) * 1e-9, lamp)
         if _over(servo, watch):
-            return ENDED_FAULT if servo.guard_memory[STATE] == FAULTED else ENDED_STOPPED
+            return _reason(servo)
         deadline += period_ns
         now = monotonic_ns(room)
         if now - looked >= LOOK_NS:
             looked = now
-            if _look(servo, watch, now, room):
-                return ENDED_SIGNAL
+            _look(servo, watch, now, room)
         if now > deadline:
             missed = (now - deadline) // period_ns
             servo.counters[MISSED] += missed
@@ -161,5 +170,5 @@ def virtual_loop(io: Any, servo: Servo, watch: IntArray, start_s: float, steps: 
         now += steps[k]
         compiled_tick(io, servo, now, steps[k], 0.0, 0)
         if _over(servo, watch):
-            return ENDED_FAULT if servo.guard_memory[STATE] == FAULTED else ENDED_STOPPED
+            return _reason(servo)
     return ENDED_TICKS

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -57,8 +56,10 @@ def spawn_servo() -> SpawnedServo:
     try:
         # our own interpreter and module; nothing of it comes from a user
         process = subprocess.Popen(  # noqa: S603
-            command, pass_fds=(theirs.fileno(), reporting), stdin=subprocess.DEVNULL
-        )
+            command, pass_fds=(theirs.fileno(), reporting), stdin=subprocess.DEVNULL,
+            # what a terminal sends its programs, Ctrl-C and Ctrl-Z, is the owner's to hear
+            start_new_session=True,
+        )  # fmt: skip
     except BaseException:
         ours.close()
         os.close(report)
@@ -70,8 +71,6 @@ def spawn_servo() -> SpawnedServo:
 
 
 def _main() -> int:
-    # Ctrl-C reaches every process of a terminal: until the servo hears signals itself it just ends
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
     from tissueid.rendering.servo_process import main
 
     return main(sys.argv[1:])

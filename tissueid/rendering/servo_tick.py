@@ -65,9 +65,10 @@ from tissueid.rendering.passivity_control import (
 #: Parameters of one version: the environment's, then the passivity controller's.
 BLOCK_SIZE = env.ENVIRONMENT_SIZE + CONTROL_SIZE
 
-#: Counters: ticks so far, ticks skipped, version of the parameters, whether a position was seen.
-TICKS, MISSED, VERSION, SEEN = range(4)
-COUNTERS_SIZE = 4
+#: Counters: ticks so far, ticks skipped, version of the parameters, whether a position was seen, whether a
+#: signal asked for the end.
+TICKS, MISSED, VERSION, SEEN, TOLD_TO_END = range(5)
+COUNTERS_SIZE = 5
 #: Readings at the start of a loop that show no motion: each command is answered once, so that only the
 #: first can be old.
 FRESH_READINGS = 2
@@ -240,9 +241,9 @@ def _count_motion(fresh: bool, valid: bool, counts: IntArray, last_counts: IntAr
 
 
 @tick_part
-def _obey(guard_memory: FloatArray, limits: FloatArray, block_head: IntArray) -> bool:
-    """Want force or none as the owner does; True where new parameters may be taken now."""
-    wanted = ordered(block_head) == COMMAND_ENGAGE
+def _obey(guard_memory: FloatArray, limits: FloatArray, block_head: IntArray, counters: IntArray) -> bool:
+    """Want force or none as the owner or a signal does; True where new parameters may be taken now."""
+    wanted = ordered(block_head) == COMMAND_ENGAGE and counters[TOLD_TO_END] == 0
     if wanted and guard_memory[WANTED] == 0.0:
         transition(guard_memory, limits, ENGAGE)
     elif not wanted and guard_memory[WANTED] != 0.0:
@@ -373,7 +374,7 @@ def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lam
         # over the whole gap where readings were missing, or a slow hand would look fast after it
         velocity_step(velocity, position, servo.last_position, servo.since_valid[0])
         servo.since_valid[0] = 0.0
-    if _obey(memory, limits, servo.block_head):
+    if _obey(memory, limits, servo.block_head, servo.counters):
         servo.counters[VERSION] = _exchange(
             servo.block_head, servo.block_values, servo.staged, environment, servo.environment_memory,
             servo.control,

@@ -248,12 +248,12 @@ class Session:
 
 @contextmanager
 def _signals() -> Iterator[None]:
-    """SIGTERM and SIGHUP end a session as Ctrl-C does: with a ramp, a summary and a whole log."""
+    """SIGTERM, SIGHUP and Ctrl-Z end a session as Ctrl-C does: with a ramp, a summary and a whole log."""
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    numbers = (signal.SIGTERM, signal.SIGHUP)
+    numbers = (signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP)
     if threading.current_thread() is not threading.main_thread():
         yield
         return
