@@ -235,7 +235,9 @@ def installed(monkeypatch):
     """Laws of other packages, behind their entry points."""
 
     def install(*laws):
-        points = [SimpleNamespace(name="other-package", load=lambda law=law: law) for law in laws]
+        points = [
+            SimpleNamespace(name="other-package", value="a:b", load=lambda law=law: law) for law in laws
+        ]
         monkeypatch.setattr(
             grammar, "entry_points", lambda group: points if group == "tissueid.models" else []
         )
@@ -260,8 +262,16 @@ def test_a_key_is_registered_once_and_an_unknown_one_lists_what_there_is(install
     with pytest.raises(ModelNameError, match="'maxwell' is no model: STATIC"):
         rebuilt(ModelChoice("maxwell", 1, 3, 0, "shared", "maxwell", (RESOLUTION, WINDOW)), 8.0)
     installed(known_laws()["prony"])
-    with pytest.raises(ModelNameError, match="'prony' is registered already"):
-        parsed("kelvin-voigt")
+    assert "'prony' is registered already" in grammar.faulty_laws()[0]
+
+
+def test_an_entry_point_that_is_no_law_hides_no_other_and_is_named_where_it_is_asked_for(installed):
+    installed(len, Toe)
+    assert parsed("toe * fung").parts is not None
+    (remark,) = grammar.faulty_laws()
+    assert "'other-package' (a:b) can't be used: TypeError" in remark
+    with pytest.raises(ModelNameError, match=r"no relaxation law 'other-package'.*\(a:b\) can't be used"):
+        parsed("power * other-package")
 
 
 def of_kind(kind):

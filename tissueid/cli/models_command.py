@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from tissueid.cli.flags import OutputFlags, argument, subcommand
-from tissueid.cli.output import MARGIN, labelled, tell
+from tissueid.cli.output import MARGIN, labelled, note, tell
 from tissueid.errors import refuse
 
 
@@ -21,9 +21,11 @@ def command(flags: _ModelsFlags) -> int:
     A model is kelvin-voigt, STATIC * [STIFFNESS *] RELAXATION or STATIC * DAMPING; NAME is the word of one
     law. Laws of other packages are found behind the entry point tissueid.models.
     """
-    from tissueid.model.grammar import described
+    from tissueid.model.grammar import described, faulty_laws
 
     rows = described()
+    for remark in faulty_laws():
+        note(f"warning: {remark}", quiet=flags.quiet)
     if flags.names:
         known = {row["key"]: row for row in rows}
         missing = [name for name in flags.names if name not in known]

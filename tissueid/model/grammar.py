@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pkgutil import iter_modules
 from typing import Any
 
@@ -27,6 +27,12 @@ DEGREES = {"constant": 0, "linear": 1, "quadratic": 2}
 KINDS = ("static", "stiffness", "relaxation", "damping")
 #: Argument of a law in the grammar, and its default.
 ARGUMENTS = {"polynomial": 3, "prony": 1, "spectrum": 8}
+
+
+#: Way out for a law that a bundle or a report was fitted with.
+MISSING_LAW = (
+    "Install the package that has this law (entry point tissueid.models); a notebook's is known there alone"
+)
 
 
 class ModelNameError(ValueError):
@@ -75,6 +81,8 @@ class Candidates:
     choose: bool = False
 
 
+#: Entry points of other packages that are no laws, by their names, and why.
+_FAULTY: dict[str, str] = {}
 #: Laws of this process alone.
 _OWN: dict[str, Any] = {}
 
@@ -98,15 +106,36 @@ def _installed() -> Mapping[str, Any]:
     found: dict[str, Any] = {}
     for one in iter_modules(laws.__path__):
         found |= {law.about.key: law for law in import_module(f"{laws.__name__}.{one.name}").LAWS}
+    _FAULTY.clear()
     for point in entry_points(group="tissueid.models"):
-        law = point.load()
-        if law.about.key in found:
-            msg = (
-                f"contact law {law.about.key!r} is registered already; {point.name} has to choose another key"
-            )
-            raise ModelNameError(msg)
+        try:
+            law = _checked(point, found)
+        except Exception as error:  # noqa: BLE001 - somebody else's code must not stop the others
+            why = f"{type(error).__name__}: {error}"
+            _FAULTY[point.name] = f"the contact law {point.name!r} ({point.value}) can't be used: {why}"
+            continue
         found[law.about.key] = law
     return found
+
+
+def _checked(point: EntryPoint, taken: Mapping[str, Any]) -> Any:
+    """The class behind an entry point; it raises what it likes where it is no law, or its key is taken."""
+    law = point.load()
+    about = getattr(law, "about", None)
+    if not isinstance(law, type) or not isinstance(about, About) or about.kind not in KINDS:
+        msg = f"it is no class with an About of kind {', '.join(KINDS)}"
+        raise TypeError(msg)
+    if about.key in taken:
+        msg = f"contact law {about.key!r} is registered already; choose another key"
+        raise ModelNameError(msg)
+    _row(about, _specs(law))
+    return law
+
+
+def faulty_laws() -> tuple[str, ...]:
+    """Remarks on laws of other packages that were left out, a sentence each."""
+    _installed()
+    return tuple(_FAULTY.values())
 
 
 def whole_names() -> tuple[About, ...]:
@@ -140,7 +169,12 @@ def rebuilt(choice: ModelChoice, depth_mm: float) -> ChannelModel:
     if choice.range_s is None:
         msg = f"{choice.key}: the times that its relaxation was looked at are missing"
         raise ValueError(msg)
-    return parsed(choice.name or choice.key).model(depth_mm, *choice.range_s)
+    try:
+        named = parsed(choice.name or choice.key)
+    except ModelNameError as error:
+        msg = f"{error}. {MISSING_LAW}"
+        raise ModelNameError(msg) from None
+    return named.model(depth_mm, *choice.range_s)
 
 
 def described() -> list[dict[str, Any]]:
@@ -150,12 +184,16 @@ def described() -> list[dict[str, Any]]:
         for law in known_laws().values():
             if law.about.kind != kind:
                 continue
-            made = law()
-            shapes = (made.shape,) if kind == "damping" else getattr(made, "shapes", ())
-            specs = [*getattr(made, "coefficients", ()), *(one.spec for one in shapes)]
-            rows.append(_row(law.about, specs))
+            rows.append(_row(law.about, _specs(law)))
     own: dict[str, Sequence[ParameterSpec]] = {KELVIN_VOIGT: kelvin_voigt(1, 2, 1.0).parameters}
     return [*rows, *(_row(about, own.get(about.key, ())) for about in whole_names())]
+
+
+def _specs(law: Any) -> list[ParameterSpec]:
+    """Parameters of a law by default."""
+    made = law()
+    shapes = (made.shape,) if law.about.kind == "damping" else getattr(made, "shapes", ())
+    return [*getattr(made, "coefficients", ()), *(one.spec for one in shapes)]
 
 
 def _row(about: About, specs: Sequence[ParameterSpec]) -> dict[str, Any]:
@@ -198,7 +236,7 @@ def _law(word: str, kind: str, name: str) -> Any:
     if law is None or law.about.kind != kind:
         there = ", ".join(k for k, one in known_laws().items() if one.about.kind == kind)
         msg = f"{name!r}: no {kind} law {key!r}; there are {there}"
-        raise ModelNameError(msg)
+        raise ModelNameError(f"{msg}; {_FAULTY[key]}" if key in _FAULTY else msg)
     if not colon:
         return law()
     if key not in ARGUMENTS or not argument.isdecimal():
@@ -214,7 +252,6 @@ def _law(word: str, kind: str, name: str) -> Any:
 
 def parsed(name: str) -> Named:
     """A contact model by its name; ModelNameError, with what is known, where a word is not."""
-    known_laws()  # what is wrong with a plug-in is said whatever was asked for
     words = [word.strip() for word in name.split("*")]
     if words == [KELVIN_VOIGT]:
         return Named(name)
