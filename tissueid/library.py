@@ -473,7 +473,7 @@ class Bundle:
         return html_of(self.content)
 
     def save(self, path: str | Path) -> Path:
-        """Write the bundle, whole or not at all.
+        """Write the bundle, whole or not at all; a law that is a function has to be known where it is read.
 
         Raises BundleError: it could not be loaded again.
         """

@@ -29,6 +29,7 @@ def command(flags: _ReportFlags) -> int:
 
 def _written(target: str | None, out: Path) -> tuple[str, bytes]:
     """Write the report; its place and content."""
+    from tissueid.model.grammar import ModelNameError
     from tissueid.store.files import CURVES, REPORT, time_now
     from tissueid.store.outputs import OutputSet, current_run
     from tissueid.store.results import read_plain, read_results, read_twin
@@ -42,7 +43,12 @@ def _written(target: str | None, out: Path) -> tuple[str, bytes]:
     if not large:
         _, curves, posteriors = read_results(out)
         twin, created = read_twin(out), time_now()
-        page = report_page(read_plain(out), curves, posteriors, twin=twin, created=created).encode("utf-8")
+        try:
+            text = report_page(read_plain(out), curves, posteriors, twin=twin, created=created)
+        except ModelNameError as error:
+            msg = f"{out}: {error}"
+            raise BundleError(msg) from error
+        page = text.encode("utf-8")
     if target is not None:
         write_output(target, page)
         return target, page

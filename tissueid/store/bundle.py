@@ -336,10 +336,10 @@ def _read(file: Any) -> tuple[bytes, dict[str, FloatArray]]:
 def _check_header(path: Path, attributes: Mapping[str, Any]) -> None:
     version = attributes.get("schema_version")
     if version != BUNDLE_SCHEMA_VERSION:
-        msg = (
-            f"{path}: schema version {version}, this tissueid reads version {BUNDLE_SCHEMA_VERSION}; run "
-            f"`tissueid migrate {path}`, or fit again"
-        )
+        newer = isinstance(version, np.integer | int) and version > BUNDLE_SCHEMA_VERSION
+        way = "install a newer tissueid" if newer else f"run `tissueid migrate {path}`"
+        reads = f"this tissueid reads version {BUNDLE_SCHEMA_VERSION}"
+        msg = f"{path}: schema version {version}, {reads}; {way}, or fit again"
         raise BundleError(msg)
     if "content_sha256" not in attributes:
         msg = f"{path}: carries no content hash, so it was not written by tissueid; run `tissueid fit` again"
@@ -366,7 +366,10 @@ def bundle_of_document(document: Mapping[str, Any], arrays: Mapping[str, FloatAr
 
 def _check_contents(bundle: Bundle, document: Mapping[str, Any], *, where: str) -> None:
     check(document, "bundle", where=where)
+    from tissueid.model.grammar import MISSING_LAW
+
     problem = array_problem(bundle) or model_problem(bundle)
     if problem is not None:
-        msg = f"{where}: {problem}; such a bundle can't be rendered safely, run `tissueid fit` again"
+        again = "" if MISSING_LAW in problem else ", run `tissueid fit` again"
+        msg = f"{where}: {problem}; such a bundle can't be rendered safely{again}"
         raise BundleError(msg)
