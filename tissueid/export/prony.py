@@ -45,8 +45,8 @@ def carried_law(bundle: Bundle, most: int = MOST_BRANCHES) -> ServoLaw:
     law = servo_law(bundle.contact_model(), bundle.theta, most)
     if law.followed == SPEED:
         msg = (
-            f"{bundle.specimen}: 0 of the terms of this format follow the speed over that at contact, as "
-            f"{bundle.model.name!r} does; export its parameters by --format mat or json"
+            f"{bundle.specimen}: {bundle.model.name!r} follows the speed over that at contact, which none of "
+            f"the {most} terms of this format can; export its parameters by --format mat or json"
         )
         raise UsageError(msg)
     return law

@@ -184,7 +184,7 @@ class PacketParser:
     def feed(self, data: bytes) -> list[Reply]:
         """Take the next bytes, in pieces of any length; the replies that they completed, in order."""
         replies = []
-        for byte in data:
+        for byte in memoryview(data):
             if parse_byte(self._memory, byte) == 1:
                 first, second, third, homed, buttons = self._memory[ENCODERS:PACKETS].tolist()
                 replies.append(Reply((first, second, third), homed, buttons))
