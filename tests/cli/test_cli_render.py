@@ -154,6 +154,12 @@ def test_the_servo_process_renders_in_real_time_and_names_the_log(bundle, tmp_pa
     assert felt["tissue_force_N"].max() > 10.0
 
 
+def test_a_fault_in_virtual_time_says_its_reason(bundle):
+    script = "indent 5 mm at 200 mm/s; retract at 200 mm/s"
+    asked = ("--device", "sim", "--virtual", "--motion-scale", "10", "--script", script)
+    run("render", bundle, *asked, code=5, said="the servo took the force away: the grip moved faster")
+
+
 @pytest.mark.usefixtures("empty_usb")
 def test_auto_says_what_it_took_and_without_a_device_the_refusal_names_the_simulated_one(bundle):
     said = "device sim, simulated: no haptic device was found"

@@ -17,7 +17,7 @@ import numpy as np
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE
 from tissueid.haptics.registry import device_class
 from tissueid.haptics.ring import RingReader
-from tissueid.haptics.states import Fault
+from tissueid.haptics.states import FAULT_WORDS, Fault
 from tissueid.rendering.bridge import BridgeRequest, UdpBridge
 from tissueid.rendering.environment import KIND as BLOCK_KIND
 from tissueid.rendering.environment import SURFACE, TISSUE
@@ -230,7 +230,7 @@ class Session:
         return self._finish(
             scheduling="virtual time",
             fault=fault,
-            message="the session ended",
+            message=f"the servo took the force away: {FAULT_WORDS[fault]}" if fault else "the session ended",
             remedies=(),
             interrupted=interrupted,
         )
