@@ -50,7 +50,7 @@ class RenderFlags(ViewerFlags):
     preset: str | None = option(
         "A tissue that comes along: paper-a, meat.", metavar="NAME", shell_complete=presets
     )
-    draw: int | None = option("Feel posterior draw N instead of the fitted values.", metavar="N")
+    draw: int | None = option("Feel posterior draw N instead of theta, the bundle's own values.", metavar="N")
     draw_specimen: str | None = option(
         "Feel a specimen drawn from a population.h5; without a seed another each time.",
         metavar="[SEED]", is_flag=False, flag_value="new",

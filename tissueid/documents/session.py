@@ -16,7 +16,7 @@ class Tissue(Document, frozen=True):
     label: Count  # as in the records
     name: str  # specimen; in a blind session the number of the sample
     content_sha256: str | None  # of the bundle; null in a blind session
-    draw: int | None  # posterior draw; null for the fitted values
+    draw: int | None  # posterior draw; null for theta, the bundle's one coherent vector
     depth_mm: float | None
     fastest_mm_s: float | None
     tip_radius_mm: float | None

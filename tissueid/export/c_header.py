@@ -24,6 +24,7 @@ _HEADER = """\
  * claimed    @CLAIMED@
  * beyond     F_s goes on with its end slope, K with its own, neither falls below what it is there
  * law        @LAW@
+ * constants  theta, the bundle's one coherent vector; a report prints medians of the posterior
  * written    by tissueid @VERSION@
  *
  *   @NAME@_tissue t = {0};                       at rest, surface at 0 mm

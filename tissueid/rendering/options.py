@@ -141,7 +141,7 @@ class Picked:
     """A tissue, and how it was chosen."""
 
     tissue: Tissue
-    draw: int | None  # row of the posterior; None for the fitted values
+    draw: int | None  # row of the posterior; None for theta, the one coherent vector
     why: str  # one sentence
 
 
