@@ -98,6 +98,19 @@ def test_a_slow_press_through_rounded_positions_is_left_alone():
     assert (sent == forces).all()
 
 
+def test_a_brake_never_pulls_and_lets_go_of_a_grip_that_stops():
+    limits = PassivityLimits(count_m=0.0, stiffness_N_per_m=0.0)
+    depth = np.concatenate([np.linspace(5.0, 0.5, 10), np.full(20, 0.5), np.linspace(0.5, -0.5, 6)]) * 1e-3
+    positions, forces = np.zeros((depth.size, 3)), np.zeros((depth.size, 3))
+    positions[:, 2], forces[:, 2] = -depth, 400.0 * np.maximum(depth, 0.0)
+    sent, _ = run_law(positions, forces, limits)
+    assert sent[:, 2].min() >= -1e-12
+    correction = (sent - forces)[:, 2]
+    assert correction[:11].min() < -0.1
+    assert (np.diff(correction[10:30]) >= 0.0).all()
+    assert (correction[forces[:, 2] == 0.0] == 0.0).all()
+
+
 def test_out_of_contact_the_ledger_begins_anew():
     positions, forces = press(400.0, ticks_late=3)
     _, memories = run_law(positions, forces, PassivityLimits(on=False))

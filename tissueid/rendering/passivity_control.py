@@ -23,8 +23,8 @@ ON, COUNT_M, STIFFNESS, LARGEST_DAMPING, LARGEST_CORRECTION_N, LARGEST_CHANGE_N 
 CONTROL_MEMORY_SIZE = 20
 STARTED, POSITION, SENT, VELOCITY, CORRECTION = 0, 1, 4, 7, 10
 #: Energy taken from the hand since the touch began, and since the session began [J]; deficit that is allowed
-#: for [J]; 1 in ticks that were corrected.
-TOUCH_J, TOTAL_J, ALLOWANCE_J, ACTIVE = range(13, 17)
+#: for [J]; 1 in ticks that were corrected; braking coefficient of the last tick [N s/m].
+TOUCH_J, TOTAL_J, ALLOWANCE_J, ACTIVE, DAMPING = range(13, 18)
 
 #: Deficit that a single rounding of the ledger may show [J].
 SMALLEST_ALLOWANCE_J = 1e-6
@@ -72,15 +72,18 @@ def passivity_step(
 
     Positions are rounded to encoder counts: 1 uJ and k q^2 / 2 for each count q travelled are allowed
     for. Beyond that f_c = -alpha v, alpha = deficit / (|v|^2 dt), is added to ``force`` [N], with alpha,
-    |f_c| and its change capped.
+    |f_c| and its change capped. A grip at rest keeps alpha while v fades, one that turned is not braked, and
+    the sum never points against ``force``: a brake takes a push away, and pulls at nothing.
     """
     travelled = 0.0
+    onward = 0.0
     taken = 0.0
     if memory[STARTED] > 0.0:
         for i in range(3):
             moved = position[i] - memory[POSITION + i]
             taken -= memory[SENT + i] * moved
             travelled += moved * moved
+            onward += memory[VELOCITY + i] * moved
     memory[STARTED] = 1.0
     # the time constant of the measured velocity: a count in a tick is no speed
     velocity_step(memory[VELOCITY : VELOCITY + 3], position, memory[POSITION : POSITION + 3], dt)
@@ -93,9 +96,14 @@ def passivity_step(
     memory[ALLOWANCE_J] += 0.5 * parameters[STIFFNESS] * count * math.sqrt(travelled)
     deficit = -memory[TOUCH_J] - memory[ALLOWANCE_J]
     damping = 0.0
-    if parameters[ON] > 0.0 and deficit > 0.0 and square > AT_REST_M_S * AT_REST_M_S and dt > 0.0:
-        damping = min(deficit / (square * dt), parameters[LARGEST_DAMPING])
+    slow = square <= AT_REST_M_S * AT_REST_M_S
+    if parameters[ON] > 0.0 and deficit > 0.0 and onward >= 0.0 and dt > 0.0 and not slow:
+        damping = memory[DAMPING]
+        if travelled > 0.0:
+            damping = min(deficit / (square * dt), parameters[LARGEST_DAMPING])
+    memory[DAMPING] = damping
     _brake(memory, parameters, damping, math.sqrt(square))
+    _pull_at_nothing(memory, force)
     if force[0] == 0.0 and force[1] == 0.0 and force[2] == 0.0:
         # out of contact: what is left of the ledger was dissipated
         memory[TOUCH_J] = 0.0
@@ -119,9 +127,26 @@ def _brake(memory: FloatArray, parameters: FloatArray, damping: float, speed: fl
     share = 1.0
     if change > parameters[LARGEST_CHANGE_N]:
         share = parameters[LARGEST_CHANGE_N] / change
-    memory[ACTIVE] = 0.0
     for i in range(3):
         memory[CORRECTION + i] += share * (scale * memory[VELOCITY + i] - memory[CORRECTION + i])
+
+
+@tick_part
+def _pull_at_nothing(memory: FloatArray, force: FloatArray) -> None:
+    """Shorten the correction until its sum with ``force`` does not point against it; none without force."""
+    square = 0.0
+    along = 0.0
+    for i in range(3):
+        square += force[i] * force[i]
+        along += force[i] * memory[CORRECTION + i]
+    share = 1.0
+    if square == 0.0:
+        share = 0.0
+    elif along < -square:
+        share = -square / along
+    memory[ACTIVE] = 0.0
+    for i in range(3):
+        memory[CORRECTION + i] *= share
         if memory[CORRECTION + i] != 0.0:
             memory[ACTIVE] = 1.0
 

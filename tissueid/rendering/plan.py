@@ -188,7 +188,7 @@ def _pick(
         return pick_draw(bundle, draw)
     if quantile is not None:
         return pick_quantile(bundle, quantile, functional)
-    why = "the typical tissue of the population" if bundle.is_population else "theta, the one coherent vector of the bundle"
+    why = "the typical tissue of the population" if bundle.is_population else "theta of the bundle"
     return Picked(as_tissue(bundle), None, why)
 
 
