@@ -272,6 +272,8 @@ def test_an_entry_point_that_is_no_law_hides_no_other_and_is_named_where_it_is_a
     assert "'other-package' (a:b) can't be used: TypeError" in remark
     with pytest.raises(ModelNameError, match=r"no relaxation law 'other-package'.*\(a:b\) can't be used"):
         parsed("power * other-package")
+    with pytest.raises(ModelNameError, match=r"no relaxation law 'creep'.*Install the package"):
+        rebuilt(ModelChoice("creep", 1, 3, 0, "shared", "power * creep", (RESOLUTION, WINDOW)), 8.0)
 
 
 def of_kind(kind):

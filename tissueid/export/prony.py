@@ -61,7 +61,8 @@ def linearised(bundle: Bundle, depth_mm: float | None = None, *, most: int = MOS
     """
     model, law = bundle.contact_model(), carried_law(bundle, most)
     if not 0 < law.tau_s.size <= most:
-        msg = f"{bundle.specimen}: this format takes 1 to {most} terms, the tissue has {law.tau_s.size}"
+        more = f"; abaqus and c-header take up to {MOST_BRANCHES}" if most < law.tau_s.size else ""
+        msg = f"{bundle.specimen}: this format takes 1 to {most} terms, the tissue has {law.tau_s.size}{more}"
         raise UsageError(msg)
     depth = 0.5 * bundle.depth_mm if depth_mm is None else depth_mm
     if not 0.0 < depth <= bundle.depth_mm:
