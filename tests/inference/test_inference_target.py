@@ -155,9 +155,7 @@ def test_whitened_coordinates_are_those_of_the_curvature_within_the_passive_set(
     assert np.median(second[inside]) == pytest.approx(-1.0, abs=0.1)
 
 
-@pytest.mark.parametrize(
-    ("mean", "sd", "lower"), [(0.0, 0.004, 0.0), (0.01, 0.002, 0.0), (0.0, 0.002, -np.inf)]
-)
+@pytest.mark.parametrize(("mean", "sd", "lower"), [(0.0, 0.004, 0.0), (0.01, 0.002, 0.0)])
 def test_a_machine_by_quantiles_has_its_prior_and_keeps_its_digits(mean, sd, lower):
     z, prior = np.linspace(-6.0, 6.0, 41), CalibrationPrior(mean, sd, lower)
     values = quantile(prior, z)
@@ -357,7 +355,7 @@ def test_linear_parameters_of_a_log_are_normal_given_all_else():
         found = at.density(x) + 0.5 * (z[:, -p:] ** 2).sum(axis=1)
         assert np.ptp(found[np.isfinite(found)]) < 1e-4
         assert np.isfinite(found).sum() > 10
-        assert at.marginal(x)[0] == pytest.approx(at.marginal(np.roll(x, 1, axis=0))[0])
+        assert at.levels(x, 0.0 * z)[0] == pytest.approx(at.levels(np.roll(x, 1, axis=0), 0.0 * z)[0])
 
 
 def test_linear_parameters_stay_on_the_wall_that_holds_the_optimum():

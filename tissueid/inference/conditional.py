@@ -24,16 +24,6 @@ class Conditional:
     basis: FloatArray  # (n, p, k), their columns
     log_det: FloatArray  # (n,), of the noise
 
-    @property
-    def ln_width(self) -> FloatArray:
-        """Ln determinant of the root of the covariance, (n,)."""
-        return np.asarray(-np.log(np.diagonal(self.factor, axis1=1, axis2=2)).sum(axis=1))
-
-    def at(self, xi: FloatArray) -> FloatArray:
-        """Linear parameters at standard normal coordinates, (n, p) -> (n, p)."""
-        step = np.linalg.solve(self.factor.swapaxes(1, 2), xi[..., None])[..., 0]
-        return np.asarray(self.mean + step)
-
 
 def conditional(
     white: FloatArray, log_det: FloatArray, rows: FloatArray, off: FloatArray, walls: Walls

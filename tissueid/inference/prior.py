@@ -7,7 +7,6 @@ is a limit of error in percent, two standard deviations; of a known frame only i
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -212,8 +211,6 @@ def calibration_priors(calibration: Calibration | None) -> Mapping[str, Calibrat
 
 def quantile(prior: CalibrationPrior, z: FloatArray) -> FloatArray:
     """Values of a cut normal at standard normal coordinates."""
-    if not math.isfinite(prior.lower):
-        return np.asarray(prior.mean + prior.sd * z)
     left = float(ndtr((prior.mean - prior.lower) / prior.sd))
     # by the upper tail, which keeps its digits
     upper = np.clip(ndtr(-z) * left, 1e-300, 1.0 - 1e-16)
@@ -222,8 +219,6 @@ def quantile(prior: CalibrationPrior, z: FloatArray) -> FloatArray:
 
 def coordinate(prior: CalibrationPrior, value: FloatArray) -> FloatArray:
     """Standard normal coordinates of values of a cut normal, kept from the ends."""
-    if not math.isfinite(prior.lower):
-        return np.asarray((value - prior.mean) / prior.sd)
     left = float(ndtr((prior.mean - prior.lower) / prior.sd))
     upper = ndtr((prior.mean - value) / prior.sd) / left
     return np.asarray(-ndtri(np.clip(upper, 1e-6, 1.0 - 1e-6)))

@@ -29,18 +29,6 @@ LEAST_SCATTER, PARABOLAS, FARTHEST, LEAST_BEND, TAIL = 1e-4, 4, 10.0, 0.1, 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ridge:
-    """A quantity along one coordinate: a monotone cubic, which does not swing where two places are close."""
-
-    place: int  # coordinate it runs along
-    curve: PchipInterpolator
-
-    def along(self, x: FloatArray) -> FloatArray:
-        """The quantity at vectors, beyond its ends as there, (..., size) -> (..., ...)."""
-        return np.asarray(self.curve(np.clip(x[..., self.place], self.curve.x[0], self.curve.x[-1])))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Ridges:
     """Curves that a posterior follows."""
 
@@ -48,8 +36,8 @@ class Ridges:
     quantiles: Mapping[int, PchipInterpolator]
     #: Of several logs, along the scatter of gains: root of the covariance of all but the machine, (r, r), and
     #: the best common scale.
-    widths: Ridge | None = None
-    ln_scale: Ridge | None = None
+    widths: PchipInterpolator | None = None
+    ln_scale: PchipInterpolator | None = None
 
 
 def straight_beyond(curve: PchipInterpolator, value: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -74,14 +62,14 @@ def ridges_of(target: SpecimenTarget) -> Ridges:
     if "ln_memory" in places:
         at, x = places["ln_memory"], np.tile(target.mode, (MEMORIES.size, 1))
         x[:, at] += MEMORIES
-        level = target.marginal(x)
+        level = target.levels(x, np.zeros((len(x), target.size)))
         quantiles[at] = _by_density(x[:, at], level if np.isfinite(level).any() else target.density(x))
     if "ln_gain_sd" not in places:
         return Ridges(quantiles)
     at = places["ln_gain_sd"]
     ln_scale, level = _common_scale(target, at)
     quantiles[at] = _by_density(SCATTERS, level)
-    widths, scales = (Ridge(at, PchipInterpolator(SCATTERS, one)) for one in (_roots(target), ln_scale))
+    widths, scales = (PchipInterpolator(SCATTERS, one) for one in (_roots(target), ln_scale))
     return Ridges(quantiles, widths, scales)
 
 

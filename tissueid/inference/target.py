@@ -24,7 +24,7 @@ from tissueid.inference.law import relaxation_states
 from tissueid.inference.noise import Memory, Whitener
 from tissueid.inference.optimum import Optimum, covariance_of, nearest_inside, whitener_of
 from tissueid.inference.prior import coordinate, own_precision, quantile, time_bounds
-from tissueid.inference.ridges import Ridges, ridges_of, straight_beyond
+from tissueid.inference.ridges import SCATTERS, Ridges, ridges_of, straight_beyond
 from tissueid.inference.system import MACHINE, SHAPE, Point
 
 #: Points of ln tau at which the largest state is tabulated, and step of ln memory at which noise is whitened.
@@ -210,22 +210,27 @@ class SpecimenTarget:
         for place, curve in self.ridges.quantiles.items():
             x[..., place] = straight_beyond(curve, z[..., at.size + rest.index(place)])[0]
         if self.ridges.widths is not None:
-            wider = self.ridges.widths.along(x) - self.root[self.still, at.size :]
+            wider = self.ridges.widths(self._scatter(x)) - self.root[self.still, at.size :]
             wider[..., [rest.index(place) for place in self.ridges.quantiles], :] = 0.0
             x[..., rest] += (wider @ z[..., at.size :, None])[..., 0]
         if self.ridges.ln_scale is not None:
             # the logarithm of a common scale is normal
             linear, found = self.linear_places, (x - self.mode) @ self.scale
-            ln_scale = np.clip(found + self.ridges.ln_scale.along(x), -MOST_SCALE, MOST_SCALE)
+            ln_scale = np.clip(found + self.ridges.ln_scale(self._scatter(x)), -MOST_SCALE, MOST_SCALE)
             unscaled = x[..., linear] - found[..., None] * self.mode[linear]
             x[..., linear] = unscaled * np.exp(ln_scale)[..., None]
         return x
+
+    def _scatter(self, x: FloatArray) -> FloatArray:
+        """Scatter of gains of vectors within what is tabulated, (..., size) -> (...,)."""
+        return np.clip(x[..., self.places["ln_gain_sd"]], *SCATTERS[[0, -1]])
 
     def _followed(self, x: FloatArray, z: FloatArray) -> Iterator[tuple[FloatArray, Conditional]]:
         """Parts of vectors with linear parameters at the last coordinates of whitened points."""
         for part, xi in zip(self._parts(x), self._parts(z[:, -self.law.linear :]), strict=True):
             given, out = self.conditional(part), part.copy()
-            out[:, self.linear_places] = given.at(xi)
+            step = np.linalg.solve(given.factor.swapaxes(1, 2), xi[..., None])[..., 0]
+            out[:, self.linear_places] = given.mean + step
             yield out, given
 
     def following(self, x: FloatArray, z: FloatArray) -> FloatArray:
@@ -267,16 +272,15 @@ class SpecimenTarget:
         """Curves along coordinates that are far from normal."""
         return ridges_of(self)
 
-    def marginal(self, x: FloatArray) -> FloatArray:
-        """Log densities of all but linear parameters that follow it, up to a constant, (n, size) -> (n,)."""
-        return self._levels(x, np.zeros((len(x), self.size)))
-
-    def _levels(self, x: FloatArray, z: FloatArray) -> FloatArray:
+    def levels(self, x: FloatArray, z: FloatArray) -> FloatArray:
         """Log densities of vectors, of linear parameters that follow by their coordinates, (n,)."""
         if not self.follows:
             return self.density(x)
-        found = self._followed(x, z)
-        return np.concatenate([self._density(one, given) + given.ln_width for one, given in found])
+        found = []
+        for one, given in self._followed(x, z):
+            wide = -np.log(np.diagonal(given.factor, axis1=1, axis2=2)).sum(axis=1)
+            found.append(self._density(one, given) + wide)
+        return np.concatenate(found)
 
     def _straight(self, z: FloatArray) -> FloatArray:
         """Points with the cut machine by quantiles of its prior -> whitened points, (..., d) -> (..., d).
@@ -517,7 +521,7 @@ class SpecimenTarget:
     def densities(self, z: FloatArray) -> FloatArray:
         """Log densities of points whose cut machine is given by quantiles, (n, d) -> (n,)."""
         x = self._spread(z)
-        out = self._levels(x, z)
+        out = self.levels(x, z)
         for k, (at, one) in enumerate(zip(self.cut_places, self._cut.values(), strict=False)):
             off = (x[:, at] - one.mean) / one.sd
             out += 0.5 * off**2 - 0.5 * z[:, k] ** 2
@@ -527,7 +531,7 @@ class SpecimenTarget:
         for place, curve in self.ridges.quantiles.items():
             out += straight_beyond(curve, z[:, machine + rest.index(place)])[1]
         if self.ridges.widths is not None:
-            roots = np.diagonal(self.ridges.widths.along(x), axis1=1, axis2=2)
+            roots = np.diagonal(self.ridges.widths(self._scatter(x)), axis1=1, axis2=2)
             out += np.log(np.delete(roots, [rest.index(k) for k in self.ridges.quantiles], axis=1)).sum(
                 axis=1
             )

@@ -27,11 +27,9 @@ DEGREES = {"constant": 0, "linear": 1, "quadratic": 2}
 KINDS = ("static", "stiffness", "relaxation", "damping")
 #: Argument of a law in the grammar, and its default.
 ARGUMENTS = {"polynomial": 3, "prony": 1, "spectrum": 8}
-
-
 #: Way out for a law that a bundle or a report was fitted with.
 MISSING_LAW = (
-    "Install the package that has this law (entry point tissueid.models); a notebook's is known there alone"
+    "Install the package that has it (entry point tissueid.models); a notebook's is known there alone"
 )
 
 
@@ -81,15 +79,13 @@ class Candidates:
     choose: bool = False
 
 
-#: Entry points of other packages that are no laws, by their names, and why.
-_FAULTY: dict[str, str] = {}
 #: Laws of this process alone.
 _OWN: dict[str, Any] = {}
 
 
 def register(law: Any) -> None:
     """Make a law known to this process; ModelNameError where one that is installed has its key."""
-    if law.about.key in _installed():
+    if law.about.key in _installed()[0]:
         msg = f"contact law {law.about.key!r} is registered already; choose another name"
         raise ModelNameError(msg)
     _OWN[law.about.key] = law
@@ -97,25 +93,23 @@ def register(law: Any) -> None:
 
 def known_laws() -> Mapping[str, Any]:
     """Every law by its key."""
-    return {**_installed(), **_OWN}
+    return {**_installed()[0], **_OWN}
 
 
 @lru_cache
-def _installed() -> Mapping[str, Any]:
-    """Laws of the folder and of other packages."""
-    found: dict[str, Any] = {}
+def _installed() -> tuple[Mapping[str, Any], Mapping[str, str]]:
+    """Laws of the folder and of other packages, and entry points that are none: remarks by their names."""
+    found, faulty = dict[str, Any](), dict[str, str]()
     for one in iter_modules(laws.__path__):
         found |= {law.about.key: law for law in import_module(f"{laws.__name__}.{one.name}").LAWS}
-    _FAULTY.clear()
     for point in entry_points(group="tissueid.models"):
         try:
             law = _checked(point, found)
+            found[law.about.key] = law
         except Exception as error:  # noqa: BLE001 - somebody else's code must not stop the others
-            why = f"{type(error).__name__}: {error}"
-            _FAULTY[point.name] = f"the contact law {point.name!r} ({point.value}) can't be used: {why}"
-            continue
-        found[law.about.key] = law
-    return found
+            why = f"can't be used: {type(error).__name__}: {error}"
+            faulty[point.name] = f"the contact law {point.name!r} ({point.value}) {why}"
+    return found, faulty
 
 
 def _checked(point: EntryPoint, taken: Mapping[str, Any]) -> Any:
@@ -134,30 +128,25 @@ def _checked(point: EntryPoint, taken: Mapping[str, Any]) -> Any:
 
 def faulty_laws() -> tuple[str, ...]:
     """Remarks on laws of other packages that were left out, a sentence each."""
-    _installed()
-    return tuple(_FAULTY.values())
+    return tuple(_installed()[1].values())
 
 
 def whole_names() -> tuple[About, ...]:
     """Names that stand for a whole model."""
     return (
         About(
-            key=KELVIN_VOIGT,
-            kind="whole",
-            equation="F = a1 x + a2 x^2 + a3 x^3 + sum_j K_j(x) s_j, tau_j s_j' + s_j = tau_j x'",
-            source="10.1109/ROBOT.2009.5152617",
+            KELVIN_VOIGT, "whole",
+            "F = a1 x + a2 x^2 + a3 x^3 + sum_j K_j(x) s_j, tau_j s_j' + s_j = tau_j x'",
+            source="10.1109/ROBOT.2009.5152617", refuses="nothing of its own",
             purpose="the default: branches and the degree of K are chosen by what they predict",
-            refuses="nothing of its own",
         ),
         About(
-            key=YARDSTICK,
-            kind="whole",
-            equation="F = G_0(x) + sum_j int e^(-(t-t')/tau_j) dG_j + sum_k K_k(x) s_k, G_j grow, K_k >= 0",
-            source="10.1016/0022-5096(68)90016-1",
+            YARDSTICK, "whole",
+            "F = G_0(x) + sum_j int e^(-(t-t')/tau_j) dG_j + sum_k K_k(x) s_k, G_j grow, K_k >= 0",
+            source="10.1016/0022-5096(68)90016-1", refuses="to be quoted: it has no parameters, no intervals",
             purpose="the mark of what can be reached: one least squares with non-negative weights",
-            refuses="to be quoted: it has no parameters and no intervals",
         ),
-    )
+    )  # fmt: skip
 
 
 def rebuilt(choice: ModelChoice, depth_mm: float) -> ChannelModel:
@@ -179,12 +168,8 @@ def rebuilt(choice: ModelChoice, depth_mm: float) -> ChannelModel:
 
 def described() -> list[dict[str, Any]]:
     """Every law and whole name: key, kind, equation, parameters, source, purpose, what it refuses."""
-    rows = []
-    for kind in KINDS:
-        for law in known_laws().values():
-            if law.about.kind != kind:
-                continue
-            rows.append(_row(law.about, _specs(law)))
+    laws = sorted(known_laws().values(), key=lambda law: KINDS.index(law.about.kind))
+    rows = [_row(law.about, _specs(law)) for law in laws]
     own: dict[str, Sequence[ParameterSpec]] = {KELVIN_VOIGT: kelvin_voigt(1, 2, 1.0).parameters}
     return [*rows, *(_row(about, own.get(about.key, ())) for about in whole_names())]
 
@@ -236,7 +221,7 @@ def _law(word: str, kind: str, name: str) -> Any:
     if law is None or law.about.kind != kind:
         there = ", ".join(k for k, one in known_laws().items() if one.about.kind == kind)
         msg = f"{name!r}: no {kind} law {key!r}; there are {there}"
-        raise ModelNameError(f"{msg}; {_FAULTY[key]}" if key in _FAULTY else msg)
+        raise ModelNameError("; ".join([msg, *filter(None, [_installed()[1].get(key)])]))
     if not colon:
         return law()
     if key not in ARGUMENTS or not argument.isdecimal():

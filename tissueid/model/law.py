@@ -1,19 +1,4 @@
-"""Parts of a contact model, a file each kind in ``laws``: linear coefficients, and positive shapes.
-
-A law of another package is a class as below, with ``creep = "creep:Creep"`` under its
-``[project.entry-points."tissueid.models"]``; then ``tissueid fit --model "power * creep"`` takes it::
-
-    class Creep:  # a relaxation: 1 at no time, down from there
-        branches = 0
-        about = About("creep", "relaxation", "R = (1 + t / tau)^-p", "reconstructed", "an example", "nothing")
-        shapes = (
-            Shape(ParameterSpec("relaxation_time_s", "tau", "s", 0.0, np.inf, "its time")),
-            Shape(ParameterSpec("relaxation_exponent", "p", "1", 0.1, 3.0, "its power"), (0.3, 1.0, 2.0)),
-        )
-
-        def value(self, time_s, tau_s, power):
-            return (1.0 + np.asarray(time_s) / tau_s) ** -np.asarray(power)
-"""
+"""Parts of a contact model, a file each kind in ``laws``: linear coefficients, and positive shapes."""
 
 from __future__ import annotations
 
