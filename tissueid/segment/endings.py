@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.segment.motion import HOLD_DRIFT, MOVE_SAMPLES, Path, Piece, corner_near, corners, slope_of
+from tissueid.segment.motion import HOLD_DRIFT, Path, Piece, corner_near, corners, slope_of
 from tissueid.signal_noise import running_median
 from tissueid.trial import Event, Phase, Protocol
 
@@ -157,18 +157,18 @@ class Held(Piece):
 
 def with_creep(path: Path, found: list[Piece]) -> list[Piece]:
     """Moves and standstills, of which none goes on through a held load."""
-    for held in _held_loads(path):
-        before = [replace(one, stop=min(one.stop, held.start)) for one in found if one.start < held.start]
-        after = [replace(one, start=max(one.start, held.stop)) for one in found if one.stop > held.stop]
-        # what is left of a rounded corner belongs to the move beyond it
-        if len(before) > 1 and before[-1].stop - before[-1].start < FEWEST_HELD:
-            before[-2:] = [replace(before[-2], stop=held.start)]
-        if len(after) > 1 and after[0].stop - after[0].start < FEWEST_HELD:
-            after[:2] = [replace(after[1], start=held.stop)]
-        if after and after[0].direction == 0 and not _stays(path, held, after[0]):
+    for held in _held_loads(path, found):
+        behind = [one for one in found if one.stop > held.stop]
+        if behind and behind[0].direction == 0 and not _stays(path, held, behind[0]):
             continue  # of a crosshead that slowed down, and then relaxes
-        while after and after[0].direction >= 0 and _stays(path, held, after[0]):
-            held = replace(held, stop=after.pop(0).stop)
+        for one in behind:
+            if one.direction < 0 or not _stays(path, held, one):
+                break
+            held = replace(held, stop=one.stop)
+        before = [replace(one, stop=min(one.stop, held.start)) for one in found if one.start < held.start]
+        if len(before) > 1 and before[-1].stop - before[-1].start < FEWEST_HELD:  # rest of a rounded corner
+            before[-2:] = [replace(before[-2], stop=held.start)]
+        after = [replace(one, start=max(one.start, held.stop)) for one in found if one.stop > held.stop]
         found = [*before, held, *after]
     return found
 
@@ -181,15 +181,17 @@ def _stays(path: Path, held: Piece, after: Piece) -> bool:
     return float(np.mean(np.abs(behind - level) <= within)) >= HELD_MOST
 
 
-def _held_loads(path: Path) -> list[Held]:
+def _held_loads(path: Path, found: list[Piece]) -> list[Held]:
     """Stretches of level force behind a rise in which the tool sinks in, slower than it came."""
     force = running_median(path.force_N)
     within = max(HELD_SHARE * float(np.ptp(force)), HELD_SD * path.noise_N)
+    knots = corners(path.time_s, force, tolerance=within).tolist()
+    edges = np.array([one.start for one in found] + [path.time_s.size - 1])
     held: list[Held] = []
     rises: int | None = None
-    for start, stop in pairwise(_knots(path.time_s, force, within)):
+    for start, stop in pairwise(knots):
         if rises is not None and _is_held(path, rises, Piece(0, start, stop)):
-            one = _placed(path, rises, Held(0, start, stop))
+            one = _placed(path, rises, Held(0, start, stop), edges)
             held += [one] if _is_held(path, rises, one) else []
         rising = force[stop] - force[start] > within
         if rising and rises is None:
@@ -199,28 +201,16 @@ def _held_loads(path: Path) -> list[Held]:
     return held
 
 
-def _knots(time_s: FloatArray, force_N: FloatArray, within: float) -> list[int]:
-    """Corners of the force but those amid a straight stretch: a level one is farthest off anywhere."""
-    first, *knots = corners(time_s, force_N, tolerance=within).tolist()
-    kept = [first]
-    for at, after in pairwise(knots):
-        part = slice(kept[-1], after + 1)
-        if corners(time_s[part], force_N[part], tolerance=within).size > 2:
-            kept.append(at)
-    return [*kept, knots[-1]]
-
-
-def _placed(path: Path, rises: int, held: Held) -> Held:
-    """A held load between its corners: force, which rises to it and leaves it, tells them at any speed."""
-    within = HELD_SD * path.noise_N
-    level = replace(path, depth_mm=path.force_N, tolerance_mm=within)
-    reach = max(FEWEST_HELD, (held.stop - held.start) // 4)
+def _placed(path: Path, rises: int, held: Held, edges: NDArray[np.intp]) -> Held:
+    """A held load between its corners: the path, which slows down there, places them better."""
+    reach = max(held.start - rises, FEWEST_HELD) // 4
     around = max(rises + 1, held.start - reach), min(held.stop - 1, held.start + reach)
-    start = corner_near(level, held.start, around, stands=(False, True))
-    end, last = held.stop, min(held.stop + reach, path.time_s.size - 1)
-    if end < last:
-        end = corner_near(level, end, (end - reach, last), stands=(True, False))
-    return Held(0, start, end)
+    end = int(edges[np.argmin(np.abs(edges - held.stop))])
+    return Held(
+        0,
+        corner_near(path, held.start, around, stands=(False, False)),
+        end if abs(end - held.stop) <= reach else held.stop,
+    )
 
 
 def _is_held(path: Path, rises: int, slow: Piece) -> bool:
@@ -229,9 +219,7 @@ def _is_held(path: Path, rises: int, slow: Piece) -> bool:
     ramp_s, slow_s = ramp.took_s(path), slow.took_s(path)
     if slow.stop - slow.start < FEWEST_HELD or not (ramp_s > 0.0 and slow_s > 0.0):
         return False
-    # behind a slow stop, which takes a share of the ramp, and samples
-    stopped = min(slow.stop - slow.start, max(slow.start - rises, 10 * MOVE_SAMPLES)) // 10
-    late = Piece(0, slow.start + stopped, slow.stop)
+    late = Piece(0, slow.start + (slow.stop - slow.start) // 10, slow.stop)  # behind a slow stop
     held = path.force_N[late.start : late.stop + 1]
     level = float(np.median(held))
     rise = level - float(np.median(path.force_N[rises : rises + 5]))
