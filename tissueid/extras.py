@@ -1,11 +1,12 @@
-"""Libraries that a part of tissueid needs, and the extra of the installation that brings each."""
+"""Libraries that a part of tissueid needs, with the extra that brings each, and what other packages add."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, entry_points, version
 from importlib.util import find_spec
+from typing import Any
 
 from tissueid.errors import UsageError
 
@@ -36,6 +37,17 @@ def versions(libraries: Iterable[str]) -> dict[str, str]:
         with suppress(PackageNotFoundError):
             found[name] = version(name)
     return found
+
+
+def faults_of(group: str, take: Callable[[Any], None]) -> dict[str, tuple[str, str]]:
+    """Take what other packages give a group of entry points; place and fault of those that fail, by name."""
+    faults: dict[str, tuple[str, str]] = {}
+    for point in entry_points(group=group):
+        try:
+            take(point.load())
+        except Exception as error:  # noqa: BLE001 - somebody else's code must not stop the others
+            faults[point.name] = point.value, f"can't be used: {type(error).__name__}: {str(error)[:200]}"
+    return faults
 
 
 def require(library: str) -> None:

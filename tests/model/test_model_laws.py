@@ -20,6 +20,7 @@ from passive_tissues import (
 from scipy.integrate import quad
 from scipy.special import exp1
 
+from tissueid import extras
 from tissueid.documents import typed
 from tissueid.documents.identification import Model
 from tissueid.model import grammar
@@ -239,7 +240,7 @@ def installed(monkeypatch):
             SimpleNamespace(name="other-package", value="a:b", load=lambda law=law: law) for law in laws
         ]
         monkeypatch.setattr(
-            grammar, "entry_points", lambda group: points if group == "tissueid.models" else []
+            extras, "entry_points", lambda group: points if group == "tissueid.models" else []
         )
         grammar._installed.cache_clear()
 

@@ -363,11 +363,10 @@ def minimise(
         slow = slow + 1 if rival is not None and gain < max(LITTLE, behind) else 0
         if slow == SLOW_STEPS:
             break
-    hessian = here.normal.hessian.copy()
-    hessian[np.diag_indices(len(frozen))] += frozen
     return Optimum(
         point=here.point, normal=here.normal, prior=here.prior, noise=Noise(here.noise_N, memory),
-        covariance=covariance_of(hessian), converged=converged, active=_active(here.prior, here.point.shared),
+        covariance=covariance_of(here.normal.hessian + np.diag(frozen)), converged=converged,
+        active=_active(here.prior, here.point.shared),
     )  # fmt: skip
 
 

@@ -10,7 +10,6 @@ import re
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from importlib.metadata import entry_points
 from itertools import chain
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
@@ -19,6 +18,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError, UsageError
+from tissueid.extras import faults_of
 from tissueid.flags import Flag
 from tissueid.ingest.archive import archive_recipe
 from tissueid.ingest.blocks import MACH_1, MTS_793, SHIMADZU
@@ -45,9 +45,9 @@ def reader_faults() -> tuple[str, ...]:
     return tuple(_faults)
 
 
-def report_fault(name: str, what: str, error: Exception) -> None:
+def report_fault(name: str, what: str) -> None:
     """Remember that a reader broke."""
-    _faults[f"the installed reader {name!r} {what}: {type(error).__name__}: {str(error)[:200]}"] = None
+    _faults[f"the installed reader {name!r} {what}"] = None
 
 
 def forget_readers() -> None:
@@ -60,13 +60,13 @@ def forget_readers() -> None:
 def _installed_recipes() -> dict[str, Recipe]:
     """The recipes of other distributions."""
     found: dict[str, Recipe] = {}
-    for point in entry_points(group="tissueid.readers"):
-        try:
-            recipe = _checked(point.load(), RECIPES.keys() | found.keys())
-        except Exception as error:  # noqa: BLE001 - somebody else's code must not stop the others
-            report_fault(f"{point.name} ({point.value})", "can't be used", error)
-            continue
+
+    def take(given: object) -> None:
+        recipe = _checked(given, RECIPES.keys() | found.keys())
         found[recipe.key] = _guarded(recipe)
+
+    for name, (place, fault) in faults_of("tissueid.readers", take).items():
+        report_fault(f"{name} ({place})", fault)
     return found
 
 
@@ -102,7 +102,7 @@ def _guarded(recipe: Recipe) -> Recipe:
         except InputError:
             raise
         except Exception as error:  # noqa: BLE001 - a bug of theirs is a refusal of this file
-            report_fault(recipe.key, f"broke on {file.path}", error)
+            report_fault(recipe.key, f"broke on {file.path}: {type(error).__name__}: {str(error)[:200]}")
             yield Place(file.path).refusal(
                 "reader_failed",
                 f"the installed reader {recipe.key!r} broke on this file ({type(error).__name__}:"
@@ -148,7 +148,8 @@ def _detect(recipe: Recipe, file: InputFile) -> Detection:
         confidence, reason = recipe.detect(file)
         return min(max(float(confidence), 0.0), 1.0), str(reason)
     except Exception as error:  # noqa: BLE001 - somebody else's code must not stop the others
-        report_fault(recipe.key, f"could not look at {file.path}", error)
+        what = f"could not look at {file.path}"
+        report_fault(recipe.key, f"{what}: {type(error).__name__}: {str(error)[:200]}")
         return 0.0, "the reader broke"
 
 

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
 from pkgutil import iter_modules
 from typing import Any
 
+from tissueid.extras import faults_of
 from tissueid.model import laws
 from tissueid.model.base import ParameterSpec
 from tissueid.model.channels import ChannelModel, DampedModel
@@ -99,31 +99,24 @@ def known_laws() -> Mapping[str, Any]:
 @lru_cache
 def _installed() -> tuple[Mapping[str, Any], Mapping[str, str]]:
     """Laws of the folder and of other packages, and entry points that are none: remarks by their names."""
-    found, faulty = dict[str, Any](), dict[str, str]()
+    found: dict[str, Any] = {}
     for one in iter_modules(laws.__path__):
         found |= {law.about.key: law for law in import_module(f"{laws.__name__}.{one.name}").LAWS}
-    for point in entry_points(group="tissueid.models"):
-        try:
-            law = _checked(point, found)
-            found[law.about.key] = law
-        except Exception as error:  # noqa: BLE001 - somebody else's code must not stop the others
-            why = f"can't be used: {type(error).__name__}: {error}"
-            faulty[point.name] = f"the contact law {point.name!r} ({point.value}) {why}"
-    return found, faulty
 
+    def take(law: Any) -> None:
+        """Take a law; raise what one likes where it is none, or its key is taken."""
+        about = getattr(law, "about", None)
+        if not isinstance(law, type) or not isinstance(about, About) or about.kind not in KINDS:
+            msg = f"it is no class with an About of kind {', '.join(KINDS)}"
+            raise TypeError(msg)
+        if about.key in found:
+            msg = f"contact law {about.key!r} is registered already; choose another key"
+            raise ModelNameError(msg)
+        _row(about, _specs(law))
+        found[about.key] = law
 
-def _checked(point: EntryPoint, taken: Mapping[str, Any]) -> Any:
-    """The class behind an entry point; it raises what it likes where it is no law, or its key is taken."""
-    law = point.load()
-    about = getattr(law, "about", None)
-    if not isinstance(law, type) or not isinstance(about, About) or about.kind not in KINDS:
-        msg = f"it is no class with an About of kind {', '.join(KINDS)}"
-        raise TypeError(msg)
-    if about.key in taken:
-        msg = f"contact law {about.key!r} is registered already; choose another key"
-        raise ModelNameError(msg)
-    _row(about, _specs(law))
-    return law
+    faults = faults_of("tissueid.models", take).items()
+    return found, {name: f"the contact law {name!r} ({place}) {fault}" for name, (place, fault) in faults}
 
 
 def faulty_laws() -> tuple[str, ...]:
