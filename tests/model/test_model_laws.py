@@ -233,7 +233,8 @@ class Toe:
 
 @pytest.fixture
 def installed(monkeypatch):
-    """Laws of other packages, behind their entry points."""
+    """Laws of other packages, behind their entry points; none of this process alone."""
+    monkeypatch.setattr(grammar, "_OWN", {})
 
     def install(*laws):
         points = [
