@@ -192,6 +192,36 @@ def test_a_held_load_is_told_though_the_tool_slows_down_before_it(creep_mm: floa
     assert found.phases[1].start_s == pytest.approx(60.0, abs=2.5)
 
 
+def creeping_all_along(creep: float, rate_Hz: float, *, held: str) -> Trial:
+    """A tip that sinks in by a share of its depth with 8 s, from the ramp of 60 s on; load or path is held."""
+    time = np.arange(0.0, 100.0, 1.0 / rate_Hz)
+    load, since = np.interp(time, [0.0, 60.0, 90.0, 100.0], [0.0, 1.0, 1.0, 0.8]), np.exp(-1.0 / rate_Hz / 8.0)
+    late = np.zeros(time.size)
+    for k in range(1, time.size):
+        late[k] = load[k] + (late[k - 1] - load[k]) * since
+    depth = 2.0 * (load + creep * late) ** (2.0 / 3.0)
+    force = load
+    if held == "path":  # of an elastic tissue, whose scale drifts on
+        depth = 2.0 * load ** (2.0 / 3.0) + 0.01 * np.clip((time - 60.0) / 30.0, 0.0, 1.0)
+        force = 0.3 * depth**1.5
+    rng = np.random.default_rng(8)
+    depth, force = depth + 1e-4 * rng.normal(size=time.size), force + 3e-4 * rng.normal(size=time.size)
+    return Trial(held, time, depth, force)
+
+
+@pytest.mark.parametrize("rate_Hz", [1.0, 2.0, 20.0])
+@pytest.mark.parametrize("creep", [0.05, 0.15, 0.3])
+def test_a_held_load_is_told_behind_a_ramp_in_which_the_tool_crept_as_fast(creep: float, rate_Hz: float) -> None:
+    found = segment(creeping_all_along(creep, rate_Hz, held="load"))
+    assert kinds(found)[:3] == ["ramp", "creep", "retract"]
+    assert found.phases[1].start_s == pytest.approx(60.0, abs=4.0)
+
+
+@pytest.mark.parametrize("rate_Hz", [1.0, 20.0])
+def test_a_path_that_drifts_in_a_hold_holds_no_load(rate_Hz: float) -> None:
+    assert "creep" not in kinds(segment(creeping_all_along(0.0, rate_Hz, held="path")))
+
+
 @pytest.mark.parametrize("shape", ["even", "sine"])
 def test_a_crosshead_that_slows_down_holds_no_load(shape: str) -> None:
     time = np.arange(0.0, 20.0, 0.01)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.flags import Flag
-from tissueid.segment.motion import HOLD_DRIFT, Path, Piece, corner_near, corners, slope_of
+from tissueid.segment.motion import Path, Piece, corner_near, corners, slope_of
 from tissueid.signal_noise import running_median
 from tissueid.trial import Event, Phase, Protocol
 
@@ -109,9 +109,15 @@ EARLIER_SHARE = 0.9
 FEWEST_EARLIER = 2
 #: Creep is slower than this share of its ramp.
 CREEP_SPEED = 0.25
+#: Creep covers more than this share of the travel of its ramp.
+CREEP_SHARE = 0.002
 #: Force stays within this share of its change over the ramp, or so many noise sd, while the load is held.
 HELD_SHARE = 0.03
 HELD_SD = 4.0
+#: The same share where force alone tells its beginning.
+LEVEL_SHARE = 0.005
+#: Force changes less than this share of what so much travel took in the ramp.
+HELD_YIELD = 0.25
 #: Share of samples that must lie within.
 HELD_MOST = 0.95
 #: A machine stops at a stated force once it is read: the end of the ramp lies between these shares of it.
@@ -170,7 +176,28 @@ def with_creep(path: Path, found: list[Piece]) -> list[Piece]:
             before[-2:] = [replace(before[-2], stop=held.start)]
         after = [replace(one, start=max(one.start, held.stop)) for one in found if one.stop > held.stop]
         found = [*before, held, *after]
-    return found
+    return [part for going, way in groupby(found, _goes_in) for part in (_level(path, [*way], going))]
+
+
+def _goes_in(piece: Piece) -> bool:
+    return piece.direction >= 0
+
+
+def _level(path: Path, way: list[Piece], going: bool) -> list[Piece]:
+    """A way in that ends at one force, behind a ramp so slow that the path has no corner where it ends."""
+    first, last = way[0], way[-1]
+    if not going or last.stop - first.start < 2 * FEWEST_HELD or any(isinstance(one, Held) for one in way):
+        return way
+    force = path.force_N[first.start : last.stop + 1]
+    level = float(np.median(force[-FEWEST_HELD:]))
+    within = max(LEVEL_SHARE * (level - float(force[0])), HELD_SD * path.noise_N)
+    inside = np.flatnonzero(np.abs(running_median(force) - level) > within)
+    inside = inside[inside < force.size - FEWEST_HELD]
+    held = Held(0, first.start + (int(inside[-1]) + 1 if inside.size else 0), last.stop)
+    if not _is_held(path, first.start, held):
+        return way
+    before = [replace(one, stop=min(one.stop, held.start)) for one in way if one.start < held.start]
+    return [*before, held]
 
 
 def _stays(path: Path, held: Piece, after: Piece) -> bool:
@@ -226,9 +253,12 @@ def _is_held(path: Path, rises: int, slow: Piece) -> bool:
     within = max(HELD_SHARE * rise, HELD_SD * path.noise_N)
     constant = float(np.mean(np.abs(held - level) <= within)) >= HELD_MOST
     ramp_mm = ramp.travel_mm(path)
-    creeps = late.travel_mm(path) > max(HOLD_DRIFT * ramp_mm, path.tolerance_mm)
+    creeps = late.travel_mm(path) > max(CREEP_SHARE * ramp_mm, path.tolerance_mm)
     slower = slow.travel_mm(path) / slow_s < CREEP_SPEED * ramp_mm / ramp_s
-    return rise > within and constant and creeps and slower
+    fifth = max(held.size // 5, 1)
+    change = abs(float(np.median(held[-fifth:]) - np.median(held[:fifth]))) + 2.0 * path.noise_N / fifth**0.5
+    yields = change * ramp_mm < HELD_YIELD * rise * late.travel_mm(path)
+    return rise > within and constant and creeps and slower and yields
 
 
 def aborts(path: Path, phases: tuple[Phase, ...], protocol: Protocol) -> list[Event]:
