@@ -1,13 +1,15 @@
 """An independent fit of the modified Kelvin-Voigt model: lmfit on the samples, white residuals, other starts.
 
 Relaxation times are searched by their logarithms, gains and contact offsets of the logs of one specimen
-beside them, the latter with the prior of their contact points; F_s and K follow by least squares among the
-curves that are not negative within the fitted depth.
+beside them, the latter with the prior of their contact points, and of a single log the machine's frame and
+skew with theirs (a filter delays as skew does); F_s and K follow by least squares among the curves that are
+not negative within the fitted depth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import lmfit
 import numpy as np
@@ -28,6 +30,9 @@ FINE_RAYS = 33
 #: Depth, as a fraction of the fitted one, at which viscosity is quoted.
 HALF = 0.5
 EVALUATIONS = 800
+#: Documented priors of a machine of which nothing is stated: standard deviations of the frame's compliance
+#: [mm/N], which is none at least, and of the skew [s]; and the most of them that is searched.
+FRAME, SKEW, MOST_SDS = 0.004, 0.002, 30.0
 
 
 def _add_taus(
@@ -49,6 +54,8 @@ def _parameters(
     parameters = lmfit.Parameters()
     _add_taus(parameters, problem.logs, problem.law.branches, span)
     several = len(problem.logs) > 1
+    parameters.add("frame", value=0.0 if several else 0.01, min=0.0, max=MOST_SDS, vary=not several)
+    parameters.add("skew", value=0.0 if several else 0.01, min=-MOST_SDS, max=MOST_SDS, vary=not several)
     for i, gain in enumerate(problem.gain_start()):
         parameters.add(f"lngain{i}", value=gain if several else 0.0, min=-GAIN, max=GAIN, vary=several)
         parameters.add(f"offset{i}", value=0.0, min=-OFFSET_MM, max=OFFSET_MM, vary=contacts)
@@ -67,6 +74,17 @@ def _parts(parameters: lmfit.Parameters, problem: PooledProblem) -> tuple[Array,
         np.array([values[f"offset{i}"] for i in count]),
         np.array([[values[f"shape{i}_{k}"] for k in range(2)] for i in count]),
     )
+
+
+def _recorded(problem: PooledProblem, parameters: lmfit.Parameters) -> PooledProblem:
+    """The problem as the machine recorded it: force late by the skew, depth less what the frame gives."""
+    frame, skew = parameters["frame"], parameters["skew"]
+    if not (frame.vary or skew.vary):
+        return problem
+    (log,) = problem.logs
+    late = np.interp(log.time_s - SKEW * skew.value, log.time_s, log.depth_mm)
+    depth = np.maximum(late - FRAME * frame.value * log.force_N, 0.0)
+    return PooledProblem(problem.law, [replace(log, depth_mm=depth)])
 
 
 def named(law: Paper, weights: Array, ln_tau: Array) -> dict[str, float]:
@@ -88,9 +106,10 @@ def _best(problem: PooledProblem, unit: float, contact_sd: Array | None, *, shap
     """Parameters of the best of all starts; contact points are searched if they have a standard deviation."""
 
     def residual(parameters: lmfit.Parameters) -> Array:
-        parts = _parts(parameters, problem)
-        scaled = problem.residual(problem.columns(*parts)) / unit
-        return scaled if contact_sd is None else np.concatenate([scaled, parts[2] / contact_sd])
+        parts, here = _parts(parameters, problem), _recorded(problem, parameters)
+        scaled = here.residual(here.columns(*parts)) / unit
+        priors = [parameters["frame"].value, parameters["skew"].value]
+        return np.concatenate([scaled, priors, [] if contact_sd is None else parts[2] / contact_sd])
 
     several = len(problem.logs) > 1
     tried = [
@@ -141,7 +160,8 @@ def independent_fit(
     law = Paper(*order, deepest(logs), rays=RAYS if len(logs) > 1 else FINE_RAYS)
     problem = PooledProblem(law, logs)
     sd = None if contact_sd_mm is None else np.maximum(contact_sd_mm, 1e-9)
-    parts = _parts(_best(problem, max(sigma_N, 1e-300), sd, shaped=shaped), problem)
+    best = _best(problem, max(sigma_N, 1e-300), sd, shaped=shaped)
+    parts, problem = _parts(best, problem), _recorded(problem, best)
     columns = problem.columns(*parts)
     weights = cone_weights(columns, problem.force)
     return named(law, weights, parts[0]), rms(problem.residual(columns))

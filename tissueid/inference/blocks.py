@@ -46,8 +46,7 @@ class Blocks:
 
     time_s: FloatArray  # (m,), broken line of the tool's travel
     depth_mm: FloatArray  # (m,)
-    #: (k, 3): points of that line of each observation: its start, middle and end; thrice the sample where it
-    #: is one.
+    #: (k, 3): points of that line of each observation: start, middle and end; thrice the sample of one.
     at: IntArray
     force_N: FloatArray  # (k,), measured mean force
     count: IntArray  # (k,), samples of each observation

@@ -411,8 +411,7 @@ def law_of(model: ChannelModel, logs: int) -> ChannelLaw:
     return ChannelLaw(model.static, powers, model.relaxation, model.branches, model.depth_mm, model)
 
 
-#: Half of the stretch, in samples, and as a share of its phase: a line through at least eleven samples has an
-#: eighth of the error of a difference.
+#: Half of the stretch, in samples and as a share of its phase: a line errs by an eighth of a difference.
 HALF_SAMPLES, HALF_SHARE = 5, 0.05
 #: Root mean square distance from a line that is straight, over the noise of the travel and over the travel.
 STRAIGHT, STRAIGHT_SHARE = 1.3, 1e-5

@@ -5,24 +5,53 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import qr
+from scipy.special import log_ndtr, ndtri_exp
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, IntArray
 
 #: Rows (c, p) of linear parameters, and values (c,) of walls.
 Walls = tuple[FloatArray, FloatArray]
-#: Shares of variances that are added where linear parameters, and walls, depend on each other.
-DEPENDENT, DUPLICATE = 1e-12, 1e-9
+#: Share of variances that is added where linear parameters depend on each other.
+DEPENDENT = 1e-12
+#: Part of a wall's direction, of length one, that others have not; ln of a share that a wall leaves whole.
+OWN, UNCUT = 0.05, -1e-14
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conditional:
-    """Normal of the linear parameters of a log at n points of all else."""
+    """Normal of the linear parameters of a log within walls, at n points of all else."""
 
-    mean: FloatArray  # (n, p)
-    factor: FloatArray  # (n, p, p), lower, of the precision
+    mean: FloatArray  # (n, p), of the normal that no wall cuts
+    factor: FloatArray  # (n, p, p), lower, of its precision
+    turn: FloatArray  # (n, p, p), orthonormal: from coordinates of which the first are those of walls
+    lower: FloatArray  # (n, c, c), distances from the walls by these
+    slack: FloatArray  # (n, c), distances of the mean
     residual: FloatArray  # (n, k), observations without linear parameters in units of the noise
     basis: FloatArray  # (n, p, k), their columns
     log_det: FloatArray  # (n,), of the noise
+
+    def drawn(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Linear parameters (n, p) of standard normal points (n, p), and ln of what a point's volume becomes.
+
+        Distances from walls are drawn one after the other from normals that the walls cut, given those before
+        and where those behind are zero (as GHK, doi 10.2307/2999576, but in the corner that data press into).
+        """
+        at, off = z.copy(), -self.slack
+        ends = [np.diagonal(one, axis1=1, axis2=2) for one in (self.factor, self.lower)]
+        ln_volume = -sum(np.log(one).sum(axis=1) for one in ends)
+        precision = np.linalg.inv(self.lower @ self.lower.swapaxes(1, 2))
+        for i in range(off.shape[1]):
+            sd = precision[:, i, i] ** -0.5
+            mean = -(sd**2) * (precision[:, i] * off).sum(axis=1)
+            inside = log_ndtr(mean / sd)
+            cut = inside < UNCUT
+            at[cut, i] = -ndtri_exp(inside[cut] + log_ndtr(-z[cut, i]))
+            off[:, i] = mean + sd * at[:, i] - self.slack[:, i]
+            ln_volume += np.log(sd) + inside + 0.5 * (at[:, i] ** 2 - z[:, i] ** 2)
+        at[:, : off.shape[1]] = np.linalg.solve(self.lower, off[..., None])[..., 0]
+        step = np.linalg.solve(self.factor.swapaxes(1, 2), self.turn @ at[..., None])
+        return self.mean + step[..., 0], ln_volume
 
 
 def conditional(
@@ -31,8 +60,7 @@ def conditional(
     """Normal of the linear parameters at n points.
 
     ``white`` (1 + p, n, k): observations without linear parameters and their columns, in units of the noise;
-    ``rows`` (c, p) and ``off`` (n, c): priors and their targets; ``walls``: rows and values as in
-    :func:`on_walls`.
+    ``rows`` (c, p) and ``off`` (n, c): priors and their targets; ``walls``: ``rows @ linear >= least``.
     """
     residual, basis = white[0], white[1:].swapaxes(0, 1)
     precision = basis @ basis.swapaxes(1, 2) + rows.T @ rows
@@ -41,16 +69,21 @@ def conditional(
     scaled = precision / size[:, :, None] / size[:, None] + DEPENDENT * np.eye(rows.shape[1])
     mean = np.linalg.solve(scaled, (right / size)[..., None])[..., 0] / size
     factor = np.asarray(np.linalg.cholesky(scaled), dtype=np.float64) * size[..., None]
-    return Conditional(on_walls(mean, factor, *walls), factor, residual, basis, log_det)
+    across = np.linalg.solve(factor, np.broadcast_to(walls[0].T, (len(mean), *walls[0].T.shape)))
+    turn, upper = np.linalg.qr(across, mode="complete")
+    count = len(walls[0])
+    sign = np.ones(turn.shape[::2])
+    sign[:, :count] = np.where(np.diagonal(upper, axis1=1, axis2=2) < 0.0, -1.0, 1.0)
+    lower = (upper[:, :count] * sign[:, :count, None]).swapaxes(1, 2)
+    slack = mean @ walls[0].T - walls[1]
+    return Conditional(mean, factor, turn * sign[:, None], lower, slack, residual, basis, log_det)
 
 
-def on_walls(mean: FloatArray, factor: FloatArray, rows: FloatArray, least: FloatArray) -> FloatArray:
-    """Means (n, p) moved in their own metrics to ``rows @ mean = least``, rows (c, p)."""
+def independent(factor: FloatArray, rows: FloatArray) -> IntArray:
+    """Numbers of walls (c, p) of which none follows from others, in the metric of a factor (p, p)."""
+    rows, numbers = rows[some := np.abs(rows).any(axis=1)], np.flatnonzero(some)
     if not len(rows):
-        return mean
-    y = np.linalg.solve(factor, np.broadcast_to(rows.T, (len(factor), *rows.T.shape)))
-    size = np.linalg.norm(y, axis=1)
-    y = y / size[:, None]
-    inner = y.swapaxes(1, 2) @ y + DUPLICATE * np.eye(len(rows))
-    pull = np.linalg.solve(inner, ((least - mean @ rows.T) / size)[..., None])
-    return np.asarray(mean + np.linalg.solve(factor.swapaxes(1, 2), y @ pull)[..., 0])
+        return numbers
+    across = np.linalg.solve(factor, rows.T)
+    upper, order = qr(across / np.linalg.norm(across, axis=0), mode="r", pivoting=True)
+    return np.asarray(numbers[order[: int((np.abs(np.diagonal(upper)) > OWN).sum())]])

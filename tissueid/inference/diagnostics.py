@@ -31,8 +31,7 @@ class Diagnostics:
 
     ess_bulk: float  # effective number of draws for the centre (rank-normalised)
     ess_tail: float  # the smaller effective number for the 5 % and 95 % quantiles
-    #: Rank-normalised split R-hat, the larger of bulk and tail, at most :data:`WORST_R_HAT`; 1 where all
-    #: draws are equal.
+    #: Rank-normalised split R-hat, the larger of bulk and tail, at most :data:`WORST_R_HAT`.
     r_hat: float
 
 

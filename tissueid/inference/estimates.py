@@ -118,13 +118,11 @@ def _crossing(place: FloatArray, height: FloatArray, centre: float, sign: int) -
 
 #: Widest 95 % interval in the logarithm that counts as identified.
 MAX_WIDTH = 1.0
-#: Widest 95 % intervals that count as identified: of a restitution, and of an exponent (half of what tells a
-#: flat punch, 1, from a cone, 2).
+#: Widest 95 % intervals that count as identified: of a restitution, and of an exponent (1 flat, 2 a cone).
 MAX_DAMPING_WIDTH, MAX_EXPONENT_WIDTH = 0.25, 0.5
 #: Distance from the ends of its range at which an exponent lies on them.
 NEAR_END = 1e-3
-#: Share of the speed at contact below which a sample is slow; with fewer of them than this, static force and
-#: damping are one number.
+#: Share of the speed at contact below which a sample is slow; with fewer, static force and damping are one.
 SLOW, FEWEST_SLOW = 0.5, 0.02
 #: A standard error below this is the rounding of none.
 BOUND_ROUNDING = 1e-12

@@ -126,8 +126,7 @@ def cut_normal(
     return replace(cut, pool=z)
 
 
-#: Components at the most; degrees of freedom with the width of a component over the spread of the draws it
-#: stands for, the widest first.
+#: Components at the most; degrees of freedom with the width over the spread of draws, the widest first.
 COMPONENTS = 6
 TAILS = ((5.0, 1.25), (12.0, 1.1), (40.0, 1.04))
 #: Share of draws that keep the widest tails.

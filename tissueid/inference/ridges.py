@@ -34,8 +34,7 @@ class Ridges:
 
     #: Coordinates by their places, over standard normal ones.
     quantiles: Mapping[int, PchipInterpolator]
-    #: Of several logs, along the scatter of gains: root of the covariance of all but the machine, (r, r), and
-    #: the best common scale.
+    #: Along the scatter of gains: root of the covariance of all but the machine, (r, r); best common scale.
     widths: PchipInterpolator | None = None
     ln_scale: PchipInterpolator | None = None
 

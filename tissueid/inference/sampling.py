@@ -155,8 +155,7 @@ HALF = 0.5
 #: Shares of the moves: independent proposals, differential evolution, stretches; and those where the
 #: Pareto shape says that proposals have the target's tails.
 MOVES, MOVES_IN_TAILS, GOOD_TAILS = (0.6, 0.25, 0.15), (0.92, 0.05, 0.03), 0.5
-#: Shares where proposals are worth next to nothing, what tempered weights are worth that walkers start from
-#: then, and their rounds.
+#: Shares where proposals are worth next to nothing, worth of tempered weights to start from, and rounds.
 MOVES_ALONE, START_WORTH, ROUNDS_ALONE = (0.05, 0.75, 0.2), 64.0, 30
 #: Standard deviations at the optimum from which walkers alone have left along what no data hold.
 FAR = 1e3
@@ -198,8 +197,7 @@ class Normal:
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Next points of the sequence in random order, shape (count, d)."""
-        # a scrambled point may be 0 itself, whose normal is infinite; in their own order each walker would
-        # have a stratum to itself
+        # 0 itself would be infinite; in their own order each walker would have a stratum to itself
         inside = np.clip(self.sequence.random(count), SMALLEST, 1.0 - SMALLEST)
         return np.asarray(self.centre + rng.permutation(ndtri(inside)))
 

@@ -59,8 +59,7 @@ class Point:
     log_times: FloatArray  # (t,) and (n, t)
     machine: FloatArray  # (3,) and (n, 3), in the order of :data:`MACHINE`
     linear: FloatArray  # (p,) and (n, p)
-    #: (logs, q) and (n, logs, q): ln gain, contact offset over the largest depth, shape, as far as there are
-    #: any.
+    #: (logs, q) and (n, logs, q): ln gain, contact offset over the largest depth, shape, if there are any.
     own: FloatArray
 
     @property

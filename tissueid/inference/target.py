@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.inference.channel_law import LARGEST_LN
-from tissueid.inference.conditional import Conditional, Walls, conditional, on_walls
+from tissueid.inference.conditional import Conditional, Walls, conditional, independent
 from tissueid.inference.engine import Identified
 from tissueid.inference.law import relaxation_states
 from tissueid.inference.noise import Memory, Whitener
@@ -41,8 +41,6 @@ PART = 131_072
 LEAST_SCALE = 1e-3
 #: Ln of the common scale beyond which the prior of gains lets none be.
 MOST_SCALE = 30.0
-#: Walls that hold the optimum at the most where linear parameters are drawn given all else.
-MOST_WALLS = 2
 
 
 class Target(Protocol):
@@ -87,7 +85,7 @@ class SpecimenTarget:
         self._own_at_optimum, self._force_at_optimum = parts.own.T, parts.force
         self._lay_out(machine)
         #: Linear parameters are drawn from their normal given all else.
-        self.follows = self.alone and len(self._walls_held[0]) <= MOST_WALLS
+        self.follows = self.alone
         self._whiten()
 
     def _lay_out(self, machine: bool) -> None:
@@ -117,8 +115,7 @@ class SpecimenTarget:
         at = np.arange(self.law.times, self.law.times + len(MACHINE))
         self.free[at] = machine
         self.size, self.open = int(self.free.sum()), machine
-        #: Places of the machine, where it is open, and of what its bounds cut: in a vector and, as all before
-        #: it is free, among the free.
+        #: Places of the machine, where it is open, and of what its bounds cut.
         self.machine_places = at[self.free[at]]
         self.cut_places = at[[k for k in self._cut if self.free[at[k]]]]
         # linear parameters of a single log come last, as they follow all else
@@ -225,20 +222,19 @@ class SpecimenTarget:
         """Scatter of gains of vectors within what is tabulated, (..., size) -> (...,)."""
         return np.clip(x[..., self.places["ln_gain_sd"]], *SCATTERS[[0, -1]])
 
-    def _followed(self, x: FloatArray, z: FloatArray) -> Iterator[tuple[FloatArray, Conditional]]:
-        """Parts of vectors with linear parameters at the last coordinates of whitened points."""
-        for part, xi in zip(self._parts(x), self._parts(z[:, -self.law.linear :]), strict=True):
-            given, out = self.conditional(part), part.copy()
-            step = np.linalg.solve(given.factor.swapaxes(1, 2), xi[..., None])[..., 0]
-            out[:, self.linear_places] = given.mean + step
-            yield out, given
+    def _followed(self, x: FloatArray, z: FloatArray) -> Iterator[tuple[FloatArray, Conditional, FloatArray]]:
+        """Parts of vectors with linear parameters at the last coordinates of whitened points, ln volumes."""
+        for part, own in zip(self._parts(x), self._parts(z[:, -self.law.linear :]), strict=True):
+            given, out = self.conditional(part, self._walls_held), part.copy()
+            out[:, self.linear_places], ln_volume = given.drawn(own)
+            yield out, given, ln_volume
 
     def following(self, x: FloatArray, z: FloatArray) -> FloatArray:
         """Vectors (n, size) with linear parameters that follow them, at whitened points (n, d)."""
-        return np.concatenate([one for one, _ in self._followed(x, z)]) if self.follows else x
+        return np.concatenate([one for one, *_ in self._followed(x, z)]) if self.follows else x
 
-    def conditional(self, x: FloatArray) -> Conditional:
-        """Normal of the linear parameters of a single log at all else of vectors, (n, size)."""
+    def conditional(self, x: FloatArray, walls: Walls) -> Conditional:
+        """Normal of a single log's linear parameters, within walls, at all else of vectors, (n, size)."""
         x, linear, prior = np.clip(x, *self._range), self.linear_places, self.optimum.prior
         x[:, linear] = 0.0
         shared = x[:, : self.n_shared]
@@ -248,14 +244,16 @@ class SpecimenTarget:
         seen[0] = self.system.force - seen[0]
         white, log_det = self._whitened(x, seen)
         off = prior.target - shared @ prior.rows.T
-        return conditional(white, log_det, prior.rows[:, linear], off, self._walls_held)
+        return conditional(white, log_det, prior.rows[:, linear], off, walls)
 
     @cached_property
     def _walls_held(self) -> Walls:
         """Rows of linear parameters (c, p) and values of the walls that hold the optimum."""
-        prior, linear = self.optimum.prior, self.linear_places
-        held = self.optimum.active & np.abs(prior.cone[:, linear]).any(axis=1)
-        return prior.cone[held, linear], prior.least[held]
+        prior, active = self.optimum.prior, self.optimum.active
+        rows, least = prior.cone[active, self.linear_places], prior.least[active]
+        free = self.conditional(self.mode[None], (rows[:0], least[:0]))
+        own = independent(free.factor[0], rows)
+        return rows[own], least[own]
 
     @cached_property
     def _range(self) -> FloatArray:
@@ -277,9 +275,8 @@ class SpecimenTarget:
         if not self.follows:
             return self.density(x)
         found = []
-        for one, given in self._followed(x, z):
-            wide = -np.log(np.diagonal(given.factor, axis1=1, axis2=2)).sum(axis=1)
-            found.append(self._density(one, given) + wide)
+        for one, given, ln_volume in self._followed(x, z):
+            found.append(self._density(one, given) + ln_volume)
         return np.concatenate(found)
 
     def _straight(self, z: FloatArray) -> FloatArray:
@@ -357,22 +354,13 @@ class SpecimenTarget:
         used = prior.least > -1e200
         rows = np.zeros((int(used.sum()), len(self.mode)))
         rows[:, : self.n_shared] = prior.cone[used]
-        self.walls = np.minimum(prior.least[used] - rows @ self.mode, 0.0)
         self.wall_rows, self.lowest = rows[:, self.free], covariance @ gradient[self.free]
-        tangent = self._tangent()
-        self.rows, self.centre = self.wall_rows @ tangent, tangent.T @ gradient[self.free]
+        self.walls = np.minimum(prior.least[used] - rows @ self.mode, 0.0)
+        self.rows, self.centre = self.wall_rows @ self.root, self.root.T @ gradient[self.free]
         self.likely = self._likely(used)
-
-    def _tangent(self) -> FloatArray:
-        """Derivative of free coordinates by whitened ones, linear parameters following along their walls."""
-        out = self.root.copy()
-        if not self.follows:
-            return out
-        factor, p = self.conditional(self.mode[None]).factor, self.law.linear
-        at, rows = self.still[-p:], self._walls_held[0]
-        along = on_walls(out[at, :-p].T, np.repeat(factor, self.size - p, axis=0), rows, np.zeros(len(rows)))
-        out[at, :-p], out[at, -p:] = along.T, np.linalg.inv(factor[0]).T
-        return out
+        if self.follows:
+            # draws stay behind the walls that hold, and others cut few
+            self.rows, self.centre = np.zeros_like(self.rows), np.zeros(self.size)
 
     def factor(self, covariance: FloatArray) -> FloatArray:
         """Root of a covariance of the free coordinates, the machine first, and of that what is cut."""

@@ -46,8 +46,7 @@ class LogData:
     #: (n,): samples that take part in the likelihood (the branch state runs through all of them).
     include: NDArray[np.bool_]
     fold: NDArray[np.int64]  # (n,), held-out group of every sample; all zero where whole logs are held out
-    #: (n,): true where a sample starts a new chain of noise (:func:`chain_breaks`); ``None`` is told from the
-    #: time stamps when it is needed.
+    #: (n,): true where a sample starts a new chain of noise (:func:`chain_breaks`); ``None``: by time stamps.
     breaks: NDArray[np.bool_] | None = None
     #: The travel is straight between samples and known exactly: a rendered law followed just it.
     exact: bool = False
@@ -60,8 +59,7 @@ class FittedLog:
     """The fitted part of a trial and what the fit needs to know about it."""
 
     data: LogData
-    #: Trial sample of the first row of ``data`` that was recorded (a contact inserted between two samples
-    #: comes before it).
+    #: Trial sample of the first row of ``data`` that was recorded (an inserted contact comes before it).
     first: int
     inserted: bool  # true where ``data`` begins with a contact point between two samples
     contact_sd_mm: float

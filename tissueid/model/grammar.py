@@ -74,8 +74,7 @@ class Candidates:
 
     paper: Named | None  # a Kelvin-Voigt law, whose order may be open
     laws: tuple[Named, ...]  # others
-    #: The one that predicts best is fitted; otherwise the Kelvin-Voigt law, held against the others, or the
-    #: only one.
+    #: The one that predicts best is fitted; else the Kelvin-Voigt law beside the others, or the only one.
     choose: bool = False
 
 

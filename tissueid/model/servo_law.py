@@ -55,8 +55,7 @@ class ServoLaw:
     followed: int
     depth_mm: float
     error: float  # largest error of the relaxing force by the projection, over the force of a sudden push
-    #: (branches, OWN_SIZE): these polynomials by powers of x [N, mm]; of a damped force chi, floor, filter
-    #: and hysteresis.
+    #: (branches, OWN_SIZE): these by powers of x [N, mm]; of a damped force chi, floor, filter, hysteresis.
     own: FloatArray = field(default_factory=lambda: np.zeros((0, OWN_SIZE)))
 
     @property
