@@ -217,6 +217,14 @@ def test_neither_bundle_nor_preset_is_refused():
     run("render", "--device", "sim", code=2)
 
 
+def test_the_folder_of_a_fit_stands_for_its_bundle(bundle, tmp_path):
+    felt = run("render", bundle.parent, *PRESSED, code=0)
+    assert felt.stdout == run("render", bundle, *PRESSED, code=0).stdout
+    assert (
+        f"{tmp_path / 'bundle.h5'}: there is no such file" in run("render", tmp_path, *PRESSED, code=6).stderr
+    )
+
+
 def test_two_tissues_are_compared_and_exchanged_out_of_contact(bundle, tmp_path):
     path = tmp_path / "out.h5"
     script = f"{SHORT}; switch; hold 0.6 s; {SHORT}"

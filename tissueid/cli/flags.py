@@ -14,10 +14,21 @@ import click
 
 #: Key of a field's option among its metadata.
 _DECLARED = "click"
+
+
+class _OfFolder(click.Path):
+    """A file, or the folder whose bundle.h5 it is."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Path of the file."""
+        return super().convert(Path(value) / "bundle.h5" if Path(value).is_dir() else value, param, ctx)
+
+
 _TYPES = {int: int, float: float, Path: click.Path(dir_okay=False, path_type=Path)}
 #: Types that many options have.
 PATH, THERE = click.Path(), click.Path(exists=True)
 FILE_THERE = click.Path(exists=True, dir_okay=False, path_type=Path)
+BUNDLE = _OfFolder(dir_okay=False, path_type=Path)
 FILE, FOLDER = click.Path(dir_okay=False), click.Path(file_okay=False)
 FOLDER_THERE = click.Path(exists=True, file_okay=False)
 FROM_0, FROM_1 = click.IntRange(min=0), click.IntRange(min=1)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.completion_command import presets, scenes
-from tissueid.cli.flags import ABOVE_0, PATH, argument, option, subcommand
+from tissueid.cli.flags import ABOVE_0, BUNDLE, PATH, argument, option, subcommand
 from tissueid.cli.output import draw, echo, echo_json, note, progress_bar
 from tissueid.cli.view_command import ViewerFlags, served, telling_stop
 from tissueid.errors import DeviceError, exit_code, refuse
@@ -45,7 +45,7 @@ class RenderFlags(ViewerFlags):
     """Everything that a session is asked for with."""
 
     # fmt: off
-    bundle: Path | None = argument(required=False)
+    bundle: Path | None = argument(required=False, type=BUNDLE)
     # the tissue that is felt
     preset: str | None = option(
         "A tissue that comes along: paper-a, meat.", metavar="NAME", shell_complete=presets
@@ -63,6 +63,7 @@ class RenderFlags(ViewerFlags):
     against: Path | None = option(
         "A second tissue; Enter switches. With --twin, the recording whose travel is driven.",
         metavar="BUNDLE",
+        type=BUNDLE,
     )
     against_draw: int | None = option("... of this draw.", metavar="N")
     against_quantile: float | None = option("... of this quantile.", metavar="Q")
