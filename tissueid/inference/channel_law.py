@@ -29,7 +29,7 @@ from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import Segmentation, Trial, contact_frame
 
 #: Coefficients below this share of the largest of their polynomial are rounding.
-NONE = 1e-13
+NONE, ROUNDED = 1e-13, 1e-11
 #: Logarithm of a time beyond which there is none.
 LARGEST_LN = 60.0
 #: Room beyond the bounds of a shape's logarithm in which the force is still differentiated.
@@ -308,8 +308,9 @@ class ChannelLaw:
                 np.maximum(block, 0.0, out=block)
                 continue
             slope = self.inside and one.branch < 0
-            least = minimum_on_unit(block * np.arange(1.0, one.size + 1) if slope else block)
             scale = np.abs(block).max(axis=1)
+            block[np.abs(block) < ROUNDED * scale[:, None]] = 0.0
+            least = minimum_on_unit(block * np.arange(1.0, one.size + 1) if slope else block)
             block[:, 0] += np.where(least < 0.0, -least + 1e-14 * scale, 0.0)
             block[np.abs(block) < NONE * scale[:, None]] = 0.0
         return out
