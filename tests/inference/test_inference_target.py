@@ -9,7 +9,7 @@ import pytest
 from inference_cases import draw, handles_for, identified, small_recipe
 from scipy.stats import multivariate_normal
 
-from tissueid.inference.conditional import conditional, independent
+from tissueid.inference.conditional import conditional, holding
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import Noise
 from tissueid.inference.prior import bernstein, coordinate, quantile
@@ -388,12 +388,21 @@ def test_linear_parameters_within_walls_are_drawn_by_their_own_density(lean: flo
     assert spread == pytest.approx(plain.std(axis=0), rel=0.05)
 
 
-def test_walls_that_follow_from_others_are_left_out():
-    rows = np.array([[1.0, 0.0, 0.0], [1.0, 1e-3, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 1.0], [0.0, 1.0, 0.0]])
-    found = independent(np.eye(3), rows)
-    assert found.size == 3
-    assert np.linalg.matrix_rank(rows[found]) == 3
-    assert independent(np.eye(3), rows[:0]).size == 0
+def test_walls_that_hold_are_near_and_none_follows_from_others():
+    rows = np.array(
+        [
+            [1.0, 0.0, 0.0],
+            [1.0, 1e-3, 0.0],
+            [0.0, 0.0, 1.0],
+            [0.0, 1.0, 0.0],
+            [-1.0, 1e-3, 0.0],
+            [0.0, 0.0, 0.0],
+        ]
+    )
+    assert holding(np.eye(3), rows, np.array([0.0, 0.01, 0.3, -1e-9, 9.0, 0.0])).tolist() == [3, 0]
+    # opposite ones leave a corner between them
+    assert holding(np.eye(3), rows, np.array([0.0, 0.01, 0.3, 1e200, 0.01, 0.0])).tolist() == [0, 4]
+    assert holding(np.eye(3), rows[:0], np.zeros(0)).size == 0
 
 
 def test_linear_parameters_keep_off_the_wall_that_holds_the_optimum():

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import qr
 from scipy.special import log_ndtr, ndtri_exp
 
 from tissueid.arrays import FloatArray, IntArray
@@ -14,8 +13,10 @@ from tissueid.arrays import FloatArray, IntArray
 Walls = tuple[FloatArray, FloatArray]
 #: Share of variances that is added where linear parameters depend on each other.
 DEPENDENT = 1e-12
-#: Part of a wall's direction, of length one, that others have not; ln of a share that a wall leaves whole.
-OWN, UNCUT = 0.05, -1e-14
+#: Distance from a wall, over its standard deviation, that is at it, and ln of a share that it leaves whole.
+AT, UNCUT = 0.05, -1e-14
+#: Cosine from which one of two walls does for both, and part of a direction that others have to leave it.
+ALIKE, OWN = 0.9, 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,8 +39,7 @@ class Conditional:
         and where those behind are zero (as GHK, doi 10.2307/2999576, but in the corner that data press into).
         """
         at, off = z.copy(), -self.slack
-        ends = [np.diagonal(one, axis1=1, axis2=2) for one in (self.factor, self.lower)]
-        ln_volume = -sum(np.log(one).sum(axis=1) for one in ends)
+        ln_volume = -sum(np.log(np.diagonal(one, 0, 1, 2)).sum(axis=1) for one in (self.factor, self.lower))
         precision = np.linalg.inv(self.lower @ self.lower.swapaxes(1, 2))
         for i in range(off.shape[1]):
             sd = precision[:, i, i] ** -0.5
@@ -71,19 +71,22 @@ def conditional(
     factor = np.asarray(np.linalg.cholesky(scaled), dtype=np.float64) * size[..., None]
     across = np.linalg.solve(factor, np.broadcast_to(walls[0].T, (len(mean), *walls[0].T.shape)))
     turn, upper = np.linalg.qr(across, mode="complete")
-    count = len(walls[0])
-    sign = np.ones(turn.shape[::2])
+    count, sign = len(walls[0]), np.ones(turn.shape[::2])
     sign[:, :count] = np.where(np.diagonal(upper, axis1=1, axis2=2) < 0.0, -1.0, 1.0)
     lower = (upper[:, :count] * sign[:, :count, None]).swapaxes(1, 2)
-    slack = mean @ walls[0].T - walls[1]
-    return Conditional(mean, factor, turn * sign[:, None], lower, slack, residual, basis, log_det)
+    turn, slack = turn * sign[:, None], mean @ walls[0].T - walls[1]
+    return Conditional(mean, factor, turn, lower, slack, residual, basis, log_det)
 
 
-def independent(factor: FloatArray, rows: FloatArray) -> IntArray:
-    """Numbers of walls (c, p) of which none follows from others, in the metric of a factor (p, p)."""
-    rows, numbers = rows[some := np.abs(rows).any(axis=1)], np.flatnonzero(some)
-    if not len(rows):
-        return numbers
+def holding(factor: FloatArray, rows: FloatArray, slack: FloatArray) -> IntArray:
+    """Numbers of walls (c, p) that a point of that ``slack`` is at, none alike, in the metric of a factor."""
+    kept: list[int] = []
     across = np.linalg.solve(factor, rows.T)
-    upper, order = qr(across / np.linalg.norm(across, axis=0), mode="r", pivoting=True)
-    return np.asarray(numbers[order[: int((np.abs(np.diagonal(upper)) > OWN).sum())]])
+    sd = np.linalg.norm(across, axis=0)
+    across /= np.maximum(sd, 1e-300)
+    near = np.flatnonzero((sd > 0.0) & (slack < AT * sd))
+    for i in near[np.argsort(slack[near] / sd[near])].tolist():
+        alike = (across[:, kept].T @ across[:, i]).max(initial=-1.0)
+        if alike < ALIKE and np.linalg.svd(across[:, [*kept, i]], compute_uv=False)[-1] > OWN:
+            kept.append(i)
+    return np.array(kept, dtype=np.int64)

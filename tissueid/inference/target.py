@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.inference.channel_law import LARGEST_LN
-from tissueid.inference.conditional import Conditional, Walls, conditional, independent
+from tissueid.inference.conditional import Conditional, Walls, conditional, holding
 from tissueid.inference.engine import Identified
 from tissueid.inference.law import relaxation_states
 from tissueid.inference.noise import Memory, Whitener
@@ -249,11 +249,11 @@ class SpecimenTarget:
     @cached_property
     def _walls_held(self) -> Walls:
         """Rows of linear parameters (c, p) and values of the walls that hold the optimum."""
-        prior, active = self.optimum.prior, self.optimum.active
-        rows, least = prior.cone[active, self.linear_places], prior.least[active]
+        prior, linear = self.optimum.prior, self.linear_places
+        rows, least = prior.cone[:, linear], prior.least
         free = self.conditional(self.mode[None], (rows[:0], least[:0]))
-        own = independent(free.factor[0], rows)
-        return rows[own], least[own]
+        held = holding(free.factor[0], rows, rows @ self.mode[linear] - least)
+        return rows[held], least[held]
 
     @cached_property
     def _range(self) -> FloatArray:
@@ -274,10 +274,8 @@ class SpecimenTarget:
         """Log densities of vectors, of linear parameters that follow by their coordinates, (n,)."""
         if not self.follows:
             return self.density(x)
-        found = []
-        for one, given, ln_volume in self._followed(x, z):
-            found.append(self._density(one, given) + ln_volume)
-        return np.concatenate(found)
+        parts = self._followed(x, z)
+        return np.concatenate([self._density(one, given) + ln_volume for one, given, ln_volume in parts])
 
     def _straight(self, z: FloatArray) -> FloatArray:
         """Points with the cut machine by quantiles of its prior -> whitened points, (..., d) -> (..., d).
