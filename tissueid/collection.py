@@ -95,6 +95,10 @@ def _refusal_for(trial: Trial, segmentation: Segmentation) -> Refusal:
         said = [flag.message for flag in segmentation.flags if flag.code == code and flag.message]
         message = "; ".join(said) or "no contact between tool and tissue was found"
         message += ": there is nothing to fit"
+        chosen = [flag.values for flag in trial.flags if flag.code == "column_choice"]
+        others = [name for one in chosen if one["quantity"] == "displacement" for name in one["alternatives"]]
+        if others:
+            message += f"; where another column is the travel, name it: --columns displacement={others[0]!r}"
     else:
         code = "too_few_samples"
         message = (

@@ -360,6 +360,25 @@ def test_letters_that_number_repeats_are_no_units(letter):
 
 
 @pytest.mark.parametrize(
+    ("name", "base", "unit"),
+    [
+        ("force_n", "force", "N"), ("force_mn", "force", "mn"), ("loadcell_V", "loadcell", "V"),
+        ("position_steps", "position", "steps"), ("Force (10^-3 N)", "Force", "10^-3 N"),
+        ("Time (10\u207b\u00b3 s)", "Time", "10\u207b\u00b3 s"), ("Travel (0.01 mm)", "Travel", "0.01 mm"),
+        ("Load (500 N)", "Load (500 N)", None), ("force_raw", "force_raw", None), ("disp_v", "disp_v", None),
+    ],
+)  # fmt: skip
+def test_a_unit_behind_a_name_is_seen_though_it_is_none_of_a_channel(name, base, unit):
+    assert split_name(name) == (base, unit)
+
+
+@pytest.mark.parametrize("head", ["time_s,position_mm,force_mn", "Time (s),x (mm),Force (10^-3 N)"])
+def test_a_unit_that_cannot_be_read_is_never_taken_for_newton(head, tmp_path):
+    rows = "".join(f"{0.01 * k:.2f},{0.01 * k:.3f},{0.1 * k:.2f}\n" for k in range(60))
+    assert refusal(put(tmp_path / "a.csv", f"{head}\n{rows}")).code == "unknown_unit"
+
+
+@pytest.mark.parametrize(
     ("head", "displacement", "force"),
     [
         ("Time (s),x,Force (N),Extension (mm)", "Extension (mm)", "Force (N)"),

@@ -154,6 +154,25 @@ def test_a_labview_measurement_is_read_with_its_names(tmp_path: Path) -> None:
     np.testing.assert_array_equal(packed.force_N, trial.force_N)
 
 
+def test_a_labview_measurement_repeats_its_head_for_every_segment(tmp_path: Path) -> None:
+    segment = (
+        "Channels\t2\t\nSamples\t100\t100\nX0\t{0:.1f}\t{0:.1f}\nDelta_X\t0.01\t0.01\n"
+        "***End_of_Header***\t\nX_Value\tDisplacement (mm)\tForce (N)\tComment\n"
+    )
+    rows = table(lambda t, x, f: f"{t:.6f}\t{x:.6f}\t{f:.6f}\n", "").splitlines(keepends=True)
+    parts = [segment.format(k / 100) + "".join(rows[k : k + 100]) + "\n" for k in range(0, len(rows), 100)]
+    trial = read(tmp_path / "a.lvm", "LabVIEW Measurement\t\n***End_of_Header***\t\n\t\n" + "".join(parts))
+    assert trial.time_s == pytest.approx(TIME, abs=1e-9)
+    assert trial.force_N == pytest.approx(FORCE, abs=1e-5)
+
+
+def test_a_table_of_volts_is_refused(tmp_path: Path) -> None:
+    head = "Units\tmm\tmN\nScale (units/V)\t0.5\t0.3\n\nTest Data in Volts:\nTime (s)\tAI0 (mm)\tForce (mN)\n"
+    error = refusal(put(tmp_path / "a.ddf", table(lambda t, x, f: f"{t:.2f}\t{x:.4f}\t{f:.4f}\n", head)))
+    assert (error.code, error.line) == ("wrong_unit", 4)
+    assert "calibrated units" in error.message
+
+
 @pytest.mark.parametrize("kind", ["date", "clock", "span"])
 def test_dates_and_clocks_of_a_sheet_are_seconds(kind: str, tmp_path: Path) -> None:
     rows: list[list[object]] = [["Time", "Extension (mm)", "Load (N)"]]

@@ -136,6 +136,14 @@ def test_force_against_the_travel_is_said():
     assert "tension" in codes(found)
 
 
+def test_a_gap_that_closes_under_the_force_is_no_tension():
+    trial = trial_of(Log("s", (Move(4.0, 250.0), Hold(2.0))))
+    for name, said in (("Corrected Gap", False), ("Position", True)):
+        source = Source("a.csv", columns={"displacement": name})
+        gap = Trial("t", trial.time_s, 12.0 - trial.displacement_mm, trial.force_N, source=source)
+        assert ("tension" in codes(segment(gap))) == said
+
+
 def test_a_standing_record_has_no_phases_and_no_contact():
     still = Trial("still", np.arange(10.0), np.full(10, 2.0), np.zeros(10))
     found = segment(still)

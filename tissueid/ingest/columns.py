@@ -40,7 +40,12 @@ _NAMED_BY_UNIT = re.compile(
 )
 #: A form of clock times, which are read as seconds: ``hh:mm:ss.fff``.
 _CLOCK_FORM = re.compile(r"(?:h+:)?m+:s+(?:[.,:][f0sz#]+)?", re.IGNORECASE)
-_UNIT_LIKE = re.compile(r"[^\W\d_]{1,8}")
+#: A word that may be a unit, or a part of one: ``10^-3 N``.
+_UNIT_LIKE = re.compile(
+    r"[^\W\d_]{1,8}|[x×*·]?\s*(?:10\s*(?:\^|\*\*|[⁻-]?[⁰¹²³⁴-⁹\d]|[⁻-])|1[eE]|0[.,]0*1\b).*"
+)
+#: What ends a name as a unit does, and is none of a channel, or in small letters one of several.
+_GLUED_UNIT = re.compile(r"[mµu]?V|[Vv]olts?|[Ss]teps|[Tt]icks|bits|adc|ADC|[mup]n")
 #: Words of strain and stress in the nine languages, accents stripped.
 _NORMALISED: Mapping[Quantity, re.Pattern[str]] = {
     "strain": re.compile(
@@ -123,6 +128,8 @@ def split_name(name: str) -> tuple[str, str | None]:
     for pattern in (_AFTER_COMMA, _AFTER_GLUE, _AFTER_SPACE, _AFTER_DOT):
         if (match := pattern.fullmatch(name)) and quantity_of(match[2]) in _SPLIT_UNITS:
             return match[1], match[2]
+    if (match := _AFTER_GLUE.fullmatch(name)) and (match[2] == "n" or _GLUED_UNIT.fullmatch(match[2])):
+        return match[1], "N" if match[2] == "n" else match[2]
     return name, None
 
 

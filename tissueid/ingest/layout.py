@@ -409,6 +409,10 @@ def _anchor_without_words(rows: Sequence[Row], best: int, above: Sequence[int]) 
     return Anchor(above[0] if named and len(row) >= len(rows[best]) - 1 else None, None, best)
 
 
+#: Line that says in what a data logger wrote: Aurora's ``Test Data in Volts:``.
+_IN_VOLTS = re.compile(r"\W*(?:test |raw )?data in (?:volts|V)\b", re.IGNORECASE)
+
+
 def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     """Lay out a text file."""
     head = text.data[:HEAD_BYTES]
@@ -427,6 +431,12 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     if found is None:
         raise _no_numbers(rows, delimiter, options, place)
     _refuse_rows_above(rows, found, place)
+    volts = next((k for k, line in enumerate(lines[:_HEAD_LINES]) if _IN_VOLTS.match(line)), None)
+    if volts is not None:
+        message = (
+            f"{lines[volts].strip()!r}: volts are no travel and no force; export them in calibrated units"
+        )
+        place.refuse("wrong_unit", message, line=volts + 1)
     names, units = found.head(rows)
     if found.names is not None and found.units is None:
         units = stated_units(rows[: found.names], names, options)

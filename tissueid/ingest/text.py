@@ -180,6 +180,12 @@ _BROKEN_NAME = re.compile(
 _MINUS, _MINUS_SIGN = "\u2212".encode(), re.compile("\u2212(?=[0-9.,])".encode())
 
 
+#: Head of a segment of LabVIEW's "one header per segment", with the names of its columns.
+_SEGMENT_HEAD = re.compile(
+    rb"^Channels[\t,;][^\n]*\n(?:(?!X_Value)[^\n]*\n){0,20}X_Value[^\n]*\n", re.MULTILINE
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Text:
     """A text file, ready to be cut into lines."""
@@ -358,7 +364,7 @@ def _plain(text: Text) -> Text:
     data = text.data
     if text.codec == "utf-8" and _MINUS in data:
         data = _MINUS_SIGN.sub(b"-", data)
-    data = with_seconds(by_spaces(_on_one_line(data)))
+    data = with_seconds(by_spaces(_one_measurement(_on_one_line(data))))
     return text if data is text.data else replace(text, data=data)
 
 
@@ -370,6 +376,18 @@ def _on_one_line(data: bytes) -> bytes:
         return data
     lines = (line.replace(b"\0", b" ") + b"\n" * line.count(b"\0") for line in joined.split(b"\n"))
     return b"\n".join(lines) + rest
+
+
+def _one_measurement(data: bytes) -> bytes:
+    """A LabVIEW measurement without the heads that its segments repeat; their lines stay, empty."""
+    if not data.startswith(b"LabVIEW Measurement"):
+        return data
+    heads = _SEGMENT_HEAD.finditer(data)
+    next(heads, None)
+    again = {one.start() for one in heads}
+    return _SEGMENT_HEAD.sub(
+        lambda one: b"\n" * one[0].count(b"\n") if one.start() in again else one[0], data
+    )
 
 
 def _unwrapped(text: Text) -> Text:

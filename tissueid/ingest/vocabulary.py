@@ -74,7 +74,7 @@ _NAMES: dict[Channel, dict[int, str]] = {
         ),
         4: (  # what is left between the tools
             r"ecartement entre (?:outils|mors)|(?:tool|grip)(?: to (?:tool|grip))? separation"
-            r"|werkzeugabstand|einspannlange|gap"
+            r"|werkzeugabstand|einspannlange|(?:(?:un)?corrected |axial |measured )?gap"
         ),
         5: (  # another sensor
             r"capteur de course|extensometer|extensometre|dehnung|wegaufnehmer|deflection"

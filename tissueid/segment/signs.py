@@ -6,6 +6,8 @@ whatever the noise is correlated like.
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from tissueid.arrays import FloatArray
@@ -19,6 +21,8 @@ from tissueid.trial import Contact, Phase, Trial
 DOUBTFUL_EXCURSION = 0.5
 #: Share of the force's own change that its change over the travel must reach to have a sign.
 DOUBTFUL_FORCE = 0.3
+#: Names of what is left between the tools, or above the table: it falls as the tool goes in.
+_CLOSES = re.compile(r"gap|separation|abstand|[ée]cartement|height|h(?:ö|oe)he|hauteur", re.IGNORECASE)
 #: Samples that tell the first level of the force.
 FIRST_SAMPLES = 5
 
@@ -63,7 +67,7 @@ def signs(trial: Trial, options: SegmentOptions) -> tuple[int, int, list[Flag]]:
     if stated.startswith("tens"):
         message = f"the file says {trial.protocol.kind!r}: the specimen is pulled"
         flags.append(Flag("tension", message, {"kind": stated}))
-    elif force_sign != compression:
+    elif force_sign != compression and not _CLOSES.search(trial.source.columns.get("displacement", "")):
         message = "recorded force and displacement have opposite signs: force against the travel, or tension"
         flags.append(Flag("tension", message, {"compression_sign": compression, "force_sign": force_sign}))
     return compression, force_sign, flags
