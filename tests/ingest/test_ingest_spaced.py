@@ -166,6 +166,22 @@ def test_a_labview_measurement_repeats_its_head_for_every_segment(tmp_path: Path
     assert trial.force_N == pytest.approx(FORCE, abs=1e-5)
 
 
+def test_a_remark_amid_columns_by_spaces_is_left_out(tmp_path: Path) -> None:
+    rows = table(lambda t, x, f: f"{t:.2f} {x:.4f} {f:.4f}\n", "").splitlines(keepends=True)
+    rows.insert(200, '# segment: 1 of "two" 2\n')
+    trial = read(tmp_path / "a.txt", "time_s z_mm force_N\n" + "".join(rows))
+    assert trial.time_s == pytest.approx(TIME, abs=6e-3)
+    assert "rows_skipped" in codes(trial)
+
+
+def test_a_serial_monitor_stamps_every_line(tmp_path: Path) -> None:
+    rows = table(lambda t, x, f: f"10:00:{t:06.3f} -> {1000 * t:.0f},{x:.4f},{f:.4f}\n", "")
+    head = "09:59:59.100 -> scale ready\n09:59:59.200 -> time_ms,position_mm,force_N\n"
+    trial = read(tmp_path / "a.txt", head + rows)
+    assert trial.source.columns["time"] == "time_ms"
+    assert trial.force_N == pytest.approx(FORCE, abs=1e-4)
+
+
 def test_a_table_of_volts_is_refused(tmp_path: Path) -> None:
     head = "Units\tmm\tmN\nScale (units/V)\t0.5\t0.3\n\nTest Data in Volts:\nTime (s)\tAI0 (mm)\tForce (mN)\n"
     error = refusal(put(tmp_path / "a.ddf", table(lambda t, x, f: f"{t:.2f}\t{x:.4f}\t{f:.4f}\n", head)))

@@ -50,6 +50,10 @@ _OTHER_DELIMITERS = re.compile(rb"[;\t|]")
 _DECIMAL_COMMA = re.compile(rb"(?:^|[;\t|])\"?[+-]?\d*,\d+")
 #: What a program writes before names that are no data of its own.
 _REMARK = re.compile(rb"^(?:#+|%+|//+)[ \t]*")
+_REMARK_LINE = re.compile(rb"^(?:#|%|//)[^\n]* [^\n]*", re.MULTILINE)
+#: What a serial monitor writes before every line.
+_MONITORED = re.compile(rb"^(\d{1,2}:\d{2}:\d{2}(?:\.\d{1,6})?) -> (?=[^\n]*([,;\t ]))?", re.MULTILINE)
+_NO_CELLS = bytes.maketrans(b' "', b"__")
 DAY_S, HALF_DAY_S = 86_400.0, 43_200.0
 
 
@@ -69,7 +73,8 @@ def by_spaces(data: bytes) -> bytes:
         return data
     head = [_named(line, columns) if k >= first - 2 else line for k, line in enumerate(lines[:first])]
     offset = sum(len(line) + 1 for line in lines[:first])
-    body = re.sub(rb"(?m)^\t", b"", re.sub(rb" +", b"\t", data[offset:]))
+    rest = _REMARK_LINE.sub(lambda remark: remark[0].translate(_NO_CELLS), data[offset:])
+    body = re.sub(rb"(?m)^\t", b"", re.sub(rb" +", b"\t", rest))
     body = body.replace(b"\t\n", b"\n").replace(b"\t\r\n", b"\r\n").removesuffix(b"\t")
     return b"".join(line + b"\n" for line in head) + body
 
@@ -364,6 +369,8 @@ def _plain(text: Text) -> Text:
     data = text.data
     if text.codec == "utf-8" and _MINUS in data:
         data = _MINUS_SIGN.sub(b"-", data)
+    if _MONITORED.match(data):
+        data = _MONITORED.sub(lambda one: one[1] + (one[2] or b","), data)
     data = with_seconds(by_spaces(_one_measurement(_on_one_line(data))))
     return text if data is text.data else replace(text, data=data)
 
