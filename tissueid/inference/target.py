@@ -354,11 +354,10 @@ class SpecimenTarget:
         rows[:, : self.n_shared] = prior.cone[used]
         self.wall_rows, self.lowest = rows[:, self.free], covariance @ gradient[self.free]
         self.walls = np.minimum(prior.least[used] - rows @ self.mode, 0.0)
-        self.rows, self.centre = self.wall_rows @ self.root, self.root.T @ gradient[self.free]
+        # draws that follow stay behind the walls that hold, and others cut few
+        root = np.zeros_like(self.root) if self.follows else self.root
+        self.rows, self.centre = self.wall_rows @ root, root.T @ gradient[self.free]
         self.likely = self._likely(used)
-        if self.follows:
-            # draws stay behind the walls that hold, and others cut few
-            self.rows, self.centre = np.zeros_like(self.rows), np.zeros(self.size)
 
     def factor(self, covariance: FloatArray) -> FloatArray:
         """Root of a covariance of the free coordinates, the machine first, and of that what is cut."""

@@ -387,14 +387,11 @@ def _on_one_line(data: bytes) -> bytes:
 
 def _one_measurement(data: bytes) -> bytes:
     """A LabVIEW measurement without the heads that its segments repeat; their lines stay, empty."""
-    if not data.startswith(b"LabVIEW Measurement"):
+    first = _SEGMENT_HEAD.search(data) if data.startswith(b"LabVIEW Measurement") else None
+    if first is None:
         return data
-    heads = _SEGMENT_HEAD.finditer(data)
-    next(heads, None)
-    again = {one.start() for one in heads}
-    return _SEGMENT_HEAD.sub(
-        lambda one: b"\n" * one[0].count(b"\n") if one.start() in again else one[0], data
-    )
+    rest = _SEGMENT_HEAD.sub(lambda head: b"\n" * head[0].count(b"\n"), data[first.end() :])
+    return data[: first.end()] + rest
 
 
 def _unwrapped(text: Text) -> Text:

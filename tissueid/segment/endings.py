@@ -171,33 +171,31 @@ def with_creep(path: Path, found: list[Piece]) -> list[Piece]:
             if one.direction < 0 or not _stays(path, held, one):
                 break
             held = replace(held, stop=one.stop)
-        before = [replace(one, stop=min(one.stop, held.start)) for one in found if one.start < held.start]
+        before = _before(held, found)
         if len(before) > 1 and before[-1].stop - before[-1].start < FEWEST_HELD:  # rest of a rounded corner
             before[-2:] = [replace(before[-2], stop=held.start)]
         after = [replace(one, start=max(one.start, held.stop)) for one in found if one.stop > held.stop]
         found = [*before, held, *after]
-    return [part for going, way in groupby(found, _goes_in) for part in (_level(path, [*way], going))]
+    ways = groupby(found, lambda one: one.direction >= 0)
+    return [part for goes_in, way in ways for part in (_with_level_end(path, [*way]) if goes_in else way)]
 
 
-def _goes_in(piece: Piece) -> bool:
-    return piece.direction >= 0
+def _before(held: Held, found: list[Piece]) -> list[Piece]:
+    """Pieces before a held load, up to where it begins."""
+    return [replace(one, stop=min(one.stop, held.start)) for one in found if one.start < held.start]
 
 
-def _level(path: Path, way: list[Piece], going: bool) -> list[Piece]:
+def _with_level_end(path: Path, way: list[Piece]) -> list[Piece]:
     """A way in that ends at one force, behind a ramp so slow that the path has no corner where it ends."""
     first, last = way[0], way[-1]
-    if not going or last.stop - first.start < 2 * FEWEST_HELD or any(isinstance(one, Held) for one in way):
+    if last.stop - first.start < 2 * FEWEST_HELD or any(isinstance(one, Held) for one in way):
         return way
     force = path.force_N[first.start : last.stop + 1]
     level = float(np.median(force[-FEWEST_HELD:]))
     within = max(LEVEL_SHARE * (level - float(force[0])), HELD_SD * path.noise_N)
-    inside = np.flatnonzero(np.abs(running_median(force) - level) > within)
-    inside = inside[inside < force.size - FEWEST_HELD]
-    held = Held(0, first.start + (int(inside[-1]) + 1 if inside.size else 0), last.stop)
-    if not _is_held(path, first.start, held):
-        return way
-    before = [replace(one, stop=min(one.stop, held.start)) for one in way if one.start < held.start]
-    return [*before, held]
+    off = np.flatnonzero(np.abs(running_median(force)[:-FEWEST_HELD] - level) > within)
+    held = Held(0, first.start + (int(off[-1]) + 1 if off.size else 0), last.stop)
+    return [*_before(held, way), held] if _is_held(path, first.start, held) else way
 
 
 def _stays(path: Path, held: Piece, after: Piece) -> bool:
