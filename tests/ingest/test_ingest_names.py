@@ -372,10 +372,15 @@ def test_a_unit_behind_a_name_is_seen_though_it_is_none_of_a_channel(name, base,
     assert split_name(name) == (base, unit)
 
 
-@pytest.mark.parametrize("head", ["time_s,position_mm,force_mn", "Time (s),x (mm),Force (10^-3 N)"])
-def test_a_unit_that_cannot_be_read_is_never_taken_for_newton(head, tmp_path):
+@pytest.mark.parametrize(
+    ("head", "likely"),
+    [("time_s,position_mm,force_mn", "mN"), ("Time (s),x (mm),Force (10^-3 N)", "UNIT")],
+)
+def test_a_unit_that_cannot_be_read_is_never_taken_for_newton(head, likely, tmp_path):
     rows = "".join(f"{0.01 * k:.2f},{0.01 * k:.3f},{0.1 * k:.2f}\n" for k in range(60))
-    assert refusal(put(tmp_path / "a.csv", f"{head}\n{rows}")).code == "unknown_unit"
+    error = refusal(put(tmp_path / "a.csv", f"{head}\n{rows}"))
+    assert error.code == "unknown_unit"
+    assert error.message.endswith(f"--units force={likely}")
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,8 @@ _AFTER_DOT = re.compile(r"([^.].*[^.])\.{1,2}([^.\d]+)\.?")
 _NUMBERED = re.compile(r"([)\]])\.\d+$")
 #: Units that may end a name without brackets: ``Fz, gf``, ``stress_kPa``, ``Stress-kPa``, ``Load N``.
 _SPLIT_UNITS = (*CHANNELS, "stress", "strain")
+#: What is most likely meant by small letters: the millinewton, and no meganewton.
+_IN_CAPITALS = {"mn": "mN", "un": "uN", "pn": "pN"}
 #: A longer text is no name, and would cost the patterns above the square of its length.
 _LONGEST_NAME = 250
 #: Times that are named by their unit alone.
@@ -383,8 +385,9 @@ def _factor(
         factors = [factor_to(unit, quantity) for unit in column.units]
     except ValueError as error:
         known = any(quantity_of(unit) not in (None, quantity) for unit in column.units)
+        likely = _IN_CAPITALS.get(column.unit, internal if column.unit.isalpha() else "UNIT")
         message = (
-            f"column {column.shown!r}: {error}; or state it with --units {channel}={internal}"
+            f"column {column.shown!r}: {error}; or state the one it is in, as with --units {channel}={likely}"
             f"{_declare(column, channel)}"
         )
         place.refuse("wrong_unit" if known else "unknown_unit", message, line=line, column=column.index + 1)
