@@ -13,11 +13,12 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from tissueid.ingest.header import header_entries, specimen_in
+from tissueid.ingest.labelled import FEWEST_ROWS
 from tissueid.ingest.layout import Layout, Row, is_units_row, split_line, stated_units
 from tissueid.ingest.numbers import CellFault, parse_number
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.text import FEWEST_ROWS, Text
+from tissueid.ingest.text import Text
 from tissueid.ingest.vocabulary import is_specimen_name, plain_words
 from tissueid.units import quantity_of
 

@@ -22,7 +22,7 @@ from tissueid.ingest.unpacking import BROKEN_ARCHIVE, LARGEST_RATIO, RATIO_FROM_
 ARCHIVE_BYTES = 1 << 30
 MOST_MEMBERS = 10_000
 #: Suffixes of prose and other data as well: such files are passed over where they hold no table.
-PROSE_SUFFIXES = (".asc", ".dat", ".txt")
+PROSE_SUFFIXES = (".asc", ".dat", ".ddf", ".tab", ".txt")
 #: Suffixes of recordings, in a folder or an archive.
 SUFFIXES = (
     ".csv", ".tsv", ".tra", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", ".jpk-force", ".jpk-force-map",

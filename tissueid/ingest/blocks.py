@@ -9,7 +9,6 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise, takewhile
 from typing import NamedTuple
 
 from tissueid.errors import InputError
@@ -19,11 +18,11 @@ from tissueid.ingest.delimited import read_table
 from tissueid.ingest.header import header_entries, protocol_of
 from tissueid.ingest.layout import Layout, Row, find_decimal, is_units_row, numeric_columns, split_line
 from tissueid.ingest.numbers import looks_numeric
-from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table
-from tissueid.ingest.refusals import Place, moved
+from tissueid.ingest.refusals import Place
+from tissueid.ingest.side_by_side import SpecimenColumns, specimen_columns
 from tissueid.ingest.text import Text
-from tissueid.ingest.vocabulary import CHANNELS, Channel, plain_words, rank_of
+from tissueid.ingest.vocabulary import plain_words
 
 #: Rows looked at for the decimal mark, and for which columns hold numbers.
 _SAMPLED_BYTES = 1 << 14
@@ -75,108 +74,6 @@ def read_block(
         numeric=numeric_columns(sample, n_columns),
     )
     return read_table(text, layout, file.options, place, metadata=metadata)
-
-
-@dataclass(frozen=True, slots=True)
-class SpecimenColumns:
-    """The columns ``[start, stop)`` of one specimen, and its name: that above them, or its number."""
-
-    name: str
-    start: int
-    stop: int
-    is_named: bool
-
-
-def specimen_columns(
-    above: Sequence[str], names: Sequence[str], units: Sequence[str], options: ReadOptions
-) -> list[SpecimenColumns]:
-    """The specimens of a table, each beginning under its name, or else at a column of time."""
-    by_name = [index for index, name in enumerate(above[: len(names)]) if name.strip()]
-    spans, repeats = _spans(by_name, names), _repeats(names)
-    # names that stand elsewhere than above what repeats are not those of specimens
-    above_all = not repeats or by_name == [start for start, _ in repeats]
-    if (
-        above_all
-        and len(spans) > 1
-        and all(_holds_force(names[start:stop], units[start:stop], options) for start, stop in spans)
-    ):
-        return [SpecimenColumns(above[start].strip(), start, stop, is_named=True) for start, stop in spans]
-    spans = repeats or _spans([i for i, name in enumerate(names) if _is(name, "time")], names)
-    if not spans or not all(has_channels(names[a:b], units[a:b], options) for a, b in spans):
-        return []
-    if all(_named(above[start:stop]) for start, stop in spans):
-        return [SpecimenColumns(above[start].strip(), start, stop, is_named=True) for start, stop in spans]
-    groups = {tuple(name.strip() for name in names[start:stop] if name.strip()) for start, stop in spans}
-    if len(spans) < 2 or (len(groups) > 1 and not repeats):
-        return []
-    return [SpecimenColumns(str(k), *span, is_named=False) for k, span in enumerate(spans, 1)]
-
-
-#: Where a word of letters goes on as a number: ``F2``.
-_GLUED_NUMBER = re.compile(r"(?<=[^\W\d_])(?=\d+\b)")
-
-
-def _is(name: str, channel: Channel) -> bool:
-    return rank_of(split_name(name.strip())[0], channel, loose=False) is not None
-
-
-def _repeats(names: Sequence[str]) -> list[tuple[int, int]]:
-    """Columns of groups that repeat the same names in the same order, but for one word or number a group."""
-    filled = [i for i, name in enumerate(names) if name.strip()]
-    words = [tuple(_GLUED_NUMBER.sub(" ", plain_words(names[i])).split()) for i in filled]
-    for size in range(len(CHANNELS), len(filled) // 2 + 1):
-        groups = [words[at : at + size] for at in range(0, len(words), size)]
-        if len(filled) % size == 0 and all(_same_but_for_a_word(groups[0], group) for group in groups[1:]):
-            return list(pairwise([*filled[::size], len(names)]))
-    return []
-
-
-def _same_but_for_a_word(one: Sequence[Row], other: Sequence[Row]) -> bool:
-    """True where names are equal, differ by the number of the group, or each by its word."""
-    differences = [_difference(a, b) for a, b in zip(one, other, strict=True)]
-    found = {difference for difference in differences if difference != ((), ())}
-    numbers = all(word.isdecimal() for pair in found for side in pair for word in side)
-    return not found or (len(found) == 1 and (numbers or len(set(differences)) == 1))
-
-
-def _difference(one: Row, other: Row) -> tuple[Row, Row]:
-    """Words of both names without those that they begin and end with alike."""
-    head = _alike(one, other)
-    one, other = one[head:], other[head:]
-    tail = _alike(one[::-1], other[::-1])
-    return one[: len(one) - tail], other[: len(other) - tail]
-
-
-def _alike(one: Row, other: Row) -> int:
-    """Number of words that two names begin with alike."""
-    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False)))
-
-
-def _spans(starts: Sequence[int], names: Sequence[str]) -> list[tuple[int, int]]:
-    """Columns from each start to the next; none where named columns stand before the first."""
-    if not starts or any(name.strip() for name in names[: starts[0]]):
-        return []
-    return list(pairwise([*starts, len(names)]))
-
-
-def _holds_force(names: Sequence[str], units: Sequence[str], options: ReadOptions) -> bool:
-    """Columns of a recording, its time apart."""
-    return has_channels(names, units, options) or (
-        sum(bool(name.strip()) for name in names) == 2
-        and any(_is(name, "force") for name in names)
-        and any(_is(name, "displacement") for name in names)
-    )
-
-
-def _named(above: Sequence[str]) -> bool:
-    """True where one name stands above a group: over its first column, or over each."""
-    cells = {cell.strip() for cell in above if cell.strip()}
-    return len(cells) == 1 and above[0].strip() in cells
-
-
-def shifted(error: InputError, columns: int) -> InputError:
-    """A refusal that points at the column of the file, not of the specimen."""
-    return error if error.column is None else moved(error, column=error.column + columns)
 
 
 # Mach-1: <Mach-1 File>, entries between <INFO> and <END INFO>, then blocks: <Command>, entries such as
@@ -482,23 +379,22 @@ def read_shimadzu(file: InputFile) -> Iterator[Table | InputError]:
     specimens = _specimens(file)
     named = bool(specimens) and specimens[0].is_named
     metadata = header_entries(layout.header[:-1] if named else layout.header)
-    names = [specimen.name for specimen in specimens]
+    called = [specimen.name for specimen in specimens]
     for count, specimen in enumerate(specimens, 1):
-        sheet = specimen.name if names.count(specimen.name) == 1 else f"{count}: {specimen.name}"
-        own = slice(specimen.start, specimen.stop)
-        names_line = layout.names_line or layout.first_line
+        sheet = specimen.name if called.count(specimen.name) == 1 else f"{count}: {specimen.name}"
+        names, names_line = specimen.of(layout.names), layout.names_line or layout.first_line
         try:
             yield read_block(
                 file,
                 sheet,
                 _alone(text, layout, specimen, Place(file.path, sheet)),
-                BlockHead(layout.names[own], layout.units[own], names_line, layout.first_line),
+                BlockHead(names, specimen.of(layout.units), names_line, layout.first_line),
                 delimiter=layout.delimiter,
                 metadata=metadata,
                 decimal=layout.decimal,
             )
         except InputError as error:
-            yield shifted(error, specimen.start)
+            yield specimen.placed(error)
 
 
 def _alone(text: Text, layout: Layout, specimen: SpecimenColumns, place: Place) -> Text:
@@ -507,7 +403,7 @@ def _alone(text: Text, layout: Layout, specimen: SpecimenColumns, place: Place) 
     ended = 0
     for number, raw in enumerate(text.data[layout.offset :].splitlines(), layout.first_line):
         row = split_line(text.decode(raw), layout.delimiter)
-        cells = row[specimen.start : specimen.stop]
+        cells = specimen.of(row)
         if not any(cell.strip() for cell in cells):
             ended = ended or (number if any(cell.strip() for cell in row) else 0)
             lines.append("")

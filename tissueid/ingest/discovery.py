@@ -68,8 +68,8 @@ def each_input(paths: Iterable[str | Path]) -> Iterator[Path | InputError]:
             if first is None:
                 Place(str(path)).refuse(
                     "no_recording",
-                    f"the directory holds no recording: no {', '.join(SUFFIXES[:-2])} file and no table in a"
-                    " .txt file; name the files themselves",
+                    f"the directory holds no recording: no {', '.join(SUFFIXES[: -len(PROSE_SUFFIXES)])} file"
+                    f" and no table in a {', '.join(PROSE_SUFFIXES)} file; name the files themselves",
                 )
             files = chain([first], files)
         elif url is not None or path.exists():

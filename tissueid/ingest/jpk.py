@@ -17,7 +17,7 @@ import io
 import re
 import zipfile
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NoReturn
 
 import numpy as np
@@ -25,8 +25,10 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.flags import Flag
+from tissueid.ingest.delimited import read_delimited
 from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table, packed_kind
 from tissueid.ingest.refusals import Place
+from tissueid.ingest.text import HEAD_BYTES
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, UNPACKED_BYTES
 from tissueid.trial import Protocol
 
@@ -229,3 +231,51 @@ def _bending(travel: FloatArray, force: FloatArray, stiffness: str | None) -> tu
 
 
 JPK_FORCE = Recipe("jpk-force", "JPK force curves, one trial a curve", detect_jpk, read_jpk)
+
+# The same as text: "# columns: vDeflection height seriesTime" and "# units: N m s" above rows parted by
+# spaces, a head a segment.
+_SAID = re.compile(rb"^# ?(columns|units|springConstant): (.*?)\r?$", re.MULTILINE)
+_TIMES = ("seriesTime", "segmentTime", "time")
+_TIP = ("verticalTipPosition", "tipSampleSeparation")
+
+
+def _said(file: InputFile) -> dict[str, list[str]]:
+    """Words of the first head behind each key."""
+    text = file.text
+    found = [] if text is None else _SAID.findall(text.data[:HEAD_BYTES])
+    return {key.decode(): text.decode(words).split() for key, words in reversed(found)} if text else {}
+
+
+def detect_jpk_text(file: InputFile) -> Detection:
+    """Columns named in a remark, the deflection of a cantilever among them."""
+    if file.layout is not None and _DEFLECTION in _said(file).get("columns", ()):
+        return 0.97, f"a remark names the columns, {_DEFLECTION} among them"
+    return NOT_MINE
+
+
+def read_jpk_text(file: InputFile) -> Iterator[Table | InputError]:
+    """The one curve of the file: the tip where it is given, else the height, whose cantilever bends."""
+    said, (_, layout) = _said(file), file.laid_out()
+    names, units = (tuple(said.get(key, ())) for key in ("columns", "units"))
+    if len(names) != layout.n_columns or len(units) not in (0, len(names)):
+        message = f"'# columns:' names {len(names)}, the rows have {layout.n_columns}; export it again"
+        Place(file.path).refuse("ragged_rows", message, line=layout.first_line)
+    heights = [name for name in names if name.lower().endswith("height")]
+    wanted = {
+        "time": next((name for name in _TIMES if name in names), _TIMES[0]),
+        "displacement": next((name for name in (*_TIP, *heights) if name in names), _TIP[0]),
+        "force": _DEFLECTION,
+    }
+    options = replace(file.options, columns=wanted | dict(file.options.columns))
+    named = replace(layout, names=names, units=units or ("",) * len(names), units_in_row=bool(units))
+    for item in read_delimited(replace(file, layout=named, options=options)):
+        if isinstance(item, InputError):
+            yield item
+            continue
+        bent = item.columns["displacement"].startswith(tuple(heights)) if heights else False
+        stiffness = next(iter(said.get("springConstant", ())), None) if bent else None
+        bending = _bending(item.displacement_mm / _M_TO_MM, item.force_N, stiffness)
+        yield replace(item, flags=(*item.flags, *bending), protocol=Protocol(kind="afm"))
+
+
+JPK_TEXT = Recipe("jpk-text", "JPK force curves as text", detect_jpk_text, read_jpk_text)

@@ -15,11 +15,12 @@ from functools import lru_cache
 
 from tissueid.flags import Flag
 from tissueid.ingest.columns import channel_columns, has_channels, split_name
+from tissueid.ingest.labelled import units_beside, with_units
 from tissueid.ingest.numbers import decimal_evidence, is_word, looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, Text
-from tissueid.ingest.vocabulary import is_comment_name, plain_words, rank_of
+from tissueid.ingest.vocabulary import is_comment_name, is_units_key, plain_words, rank_of
 from tissueid.units import quantity_of
 
 Cells = Sequence[str]
@@ -206,8 +207,6 @@ _VOTING_ROWS = 40
 #: Lines between names and numbers in which units stand, and the longest word that may be one.
 _ROWS_OF_HEAD = 3
 _LONGEST_WORD = 12
-#: What a line of units over the names begins with.
-_UNITS_KEY = re.compile(r"(?:y )?units?(?: ?name| label)?s?|einheit(?:en)?|unites?|unidad(?:es)?|单位|単位")
 #: A line of the header that states the unit of one column.
 _UNIT_OF_NAME = re.compile(r"(.{1,40}\S) (?:[Uu]nits?|[Ee]inheit)\s?[:=,]?\s?(\S{1,12})")
 #: Longer cells are prose, be there words of columns in it or not.
@@ -359,7 +358,7 @@ def _units_above(rows: Sequence[Row], names: int, options: ReadOptions) -> int |
     """A row of units right above the names, or one of the header that says so by its first cell."""
     columns = channel_columns(rows[names], options)
     for index in _filled_above(rows, names) if columns else ():
-        if index < names - 1 and not _is_units_key(_opening(rows[index])):
+        if index < names - 1 and not is_units_key(_opening(rows[index])):
             continue
         cells = _without_key(rows[index], len(rows[names]))
         printed = [(channel, cells[k]) for channel, k in columns.items() if k < len(cells)]
@@ -384,13 +383,9 @@ def stated_units(header: Sequence[Row], names: Row, options: ReadOptions) -> Row
     return tuple(units) if stated else ()
 
 
-def _is_units_key(cell: str) -> bool:
-    return _UNITS_KEY.fullmatch(plain_words(cell.partition(":")[0])) is not None
-
-
 def _without_key(row: Row, width: int) -> Row:
     """A row of units without the word that announces it, be that in a cell of its own or not."""
-    if not row or not _is_units_key(row[0]):
+    if not row or not is_units_key(row[0]):
         return row
     return row[1:] if len(row) > width else (row[0].partition(":")[2].strip(), *row[1:])
 
@@ -449,6 +444,10 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
         message = "under the names stand results or another table, but no row of numbers; export the raw data"
         place.refuse("no_rows", message, line=found.first + 1)
     n_columns = Counter(map(len, sample)).most_common(1)[0][0]
+    names = text.names if any(text.names) else names
+    # of both loops none begins where no column holds units
+    cells = (split_line(text.decode(line), delimiter) for all_ in (text.data,) for line in all_.splitlines())
+    units = with_units(names, units, text.units or units_beside(names, cells, place), place)
     decimal = options.decimal or find_decimal(text, sample, delimiter, place, first=found.first, rows=below)
     layout = Layout(
         delimiter,

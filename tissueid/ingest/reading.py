@@ -26,7 +26,7 @@ from tissueid.ingest.columns import split_name
 from tissueid.ingest.delimited import BLUEHILL_CSV, CHIARO, COLUMNS_TEXT, TESTXPERT_TRA
 from tissueid.ingest.discovery import find_inputs
 from tissueid.ingest.header import protocol_of
-from tissueid.ingest.jpk import JPK_FORCE
+from tissueid.ingest.jpk import JPK_FORCE, JPK_TEXT
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.quality import capacity_in, quality_flags, zero_dt
 from tissueid.ingest.recipe import Detection, InputFile, Match, Recipe, Table, open_input
@@ -166,6 +166,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
             SHIMADZU,
             CHIARO,
             JPK_FORCE,
+            JPK_TEXT,
             SESSION_LOG,
             WORKBOOK,
             COLUMNS_TEXT,

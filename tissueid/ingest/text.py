@@ -17,16 +17,13 @@ import charset_normalizer
 
 from tissueid.flags import Flag
 from tissueid.ingest.header import is_protocol_key
+from tissueid.ingest.labelled import ALIKE, FEWEST_ROWS, bare_rows
 from tissueid.ingest.markup import lines_of_markup
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.vocabulary import CHANNELS, rank_of, specimen_key_rank
 
 #: What is looked at to recognise a file: 48 header lines and several hundred rows; lines of it that are here.
 HEAD_BYTES, HEAD_LINES = 1 << 16, 300
-#: Rows that show a table by spaces, or a clock.
-FEWEST_ROWS = 5
-#: Share of the rows that have the same number of columns.
-ALIKE = 0.9
 #: A longer line is no line of names.
 LONGEST_NAMES = 1000
 #: Written so that a text can be a number in one way only: a line of digits is refused in linear time.
@@ -199,6 +196,8 @@ class Text:
     codec: str  # what decodes ``data``
     encoding: str  # what the file was written in, for the record
     flags: tuple[Flag, ...] = ()
+    names: tuple[str, ...] = ()  # that every row repeats, and units: taken out of ``data``
+    units: tuple[str, ...] = ()
 
     def decode(self, line: bytes) -> str:
         """One line or the head as text; what can't be decoded is shown as such."""
@@ -270,7 +269,7 @@ def decode_text(data: bytes, place: Place) -> Text:
         message = f"the encoding of the header is not certain, {codec} was taken"
         doubt = () if sure else (Flag("undecoded_text", message, {"encoding": codec}),)
         text = Text(_line_ends(data), codec, codec, doubt)
-    return _plain(text)
+    return _plain(text, place)
 
 
 def _refuse_long_lines(data: bytes, place: Place) -> None:
@@ -302,7 +301,7 @@ def _from_utf16(data: bytes, place: Place) -> Text:
     head = unified[:HEAD_BYTES]
     if len(_CONTROL.findall(head)) > _CONTROL_FRACTION * len(head):
         refuse_foreign("binary data", place)
-    return _plain(Text(unified, "utf-8", "utf-16"))
+    return _plain(Text(unified, "utf-8", "utf-16"), place)
 
 
 def _line_ends(data: bytes) -> bytes:
@@ -363,7 +362,7 @@ def _known_words(decoded: str) -> int:
     )
 
 
-def _plain(text: Text) -> Text:
+def _plain(text: Text, place: Place) -> Text:
     """The text without wrapped lines, columns by spaces and clock times."""
     text = _unwrapped(text)
     data = text.data
@@ -371,8 +370,14 @@ def _plain(text: Text) -> Text:
         data = _MINUS_SIGN.sub(b"-", data)
     if _MONITORED.match(data):
         data = _MONITORED.sub(lambda one: one[1] + (one[2] or b","), data)
-    data = with_seconds(by_spaces(_one_measurement(_on_one_line(data))))
-    return text if data is text.data else replace(text, data=data)
+    data = _one_measurement(_on_one_line(data))
+    data, names, units = bare_rows(data, _head(data), place)
+    data = with_seconds(by_spaces(data))
+    if data is text.data:
+        return text
+    return replace(
+        text, data=data, names=tuple(map(text.decode, names)), units=tuple(map(text.decode, units))
+    )
 
 
 def _on_one_line(data: bytes) -> bytes:

@@ -167,6 +167,15 @@ _COMMENTS = re.compile(
 )
 
 
+#: Word before a row or over a column of units.
+_UNITS_KEY = re.compile(r"(?:y )?units?(?: ?name| label)?s?|einheit(?:en)?|unites?|unidad(?:es)?|单位|単位")
+
+
+def is_units_key(cell: str) -> bool:
+    """True where a cell announces units: ``Units``, ``Einheit:``."""
+    return _UNITS_KEY.fullmatch(plain_words(cell.partition(":")[0])) is not None
+
+
 def is_comment_name(name: str) -> bool:
     """True where a column is named as one of comments, which holds no numbers."""
     return _COMMENTS.fullmatch(plain_words(name)) is not None

@@ -19,16 +19,17 @@ import python_calamine
 
 from tissueid.errors import InputError
 from tissueid.flags import Flag
-from tissueid.ingest.blocks import shifted, specimen_columns
 from tissueid.ingest.broken_rows import refuse_broken
 from tissueid.ingest.columns import Channels, ColumnChoice, choose_columns, has_channels
 from tissueid.ingest.header import header_entries, specimen_in
+from tissueid.ingest.labelled import units_beside, with_units
 from tissueid.ingest.layout import Anchor, Row, anchor, results_below, results_flag
 from tissueid.ingest.numbers import looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table, packed_kind
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.rows import begins_a_table, flag_head
+from tissueid.ingest.side_by_side import SpecimenColumns, specimen_columns
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, too_much
 from tissueid.ingest.vocabulary import CHANNELS
 
@@ -151,29 +152,26 @@ def read_workbook(file: InputFile) -> Iterator[Table | InputError]:
     yield from faults.values()
     names = Counter(name for _, cells, found in trials if (name := _test_name(cells, found)) is not None)
     for sheet, cells, found in trials:
-        for name, own, start in _side_by_side(file, sheet, cells, found):
+        for one in _side_by_side(file, cells, found):
+            name = f"{sheet}::{one.name}" if one else sheet
+            own = [one.of(row) for row in cells] if one else cells
             try:
                 yield _read_sheet(file, name, own, found, names=names)
             except InputError as error:
-                yield shifted(error, start)
+                yield one.placed(error) if one else error
     if not trials and not faults:
         yield _no_trial(file, workbook)
 
 
-def _side_by_side(
-    file: InputFile, sheet: str, cells: Cells, found: Anchor
-) -> Iterator[tuple[str, Cells, int]]:
-    """The trials of a sheet: one, or one a specimen where several stand side by side."""
-    specimens = []
-    if found.names is not None:
-        head = _head(cells[: found.first])
-        names, units = found.head(head)
-        specimens = specimen_columns(head[found.names - 1] if found.names else (), names, units, file.options)
-    if len(specimens) < 2:
-        yield sheet, cells, 0
-        return
-    for one in specimens:
-        yield f"{sheet}::{one.name}", [row[one.start : one.stop] for row in cells], one.start
+def _side_by_side(file: InputFile, cells: Cells, found: Anchor) -> Sequence[SpecimenColumns | None]:
+    """The specimens that stand side by side in a sheet; None alone where it holds one trial."""
+    if found.names is None:
+        return [None]
+    head = _head(cells[: found.first])
+    names, units = found.head(head)
+    above = head[found.names - 1] if found.names else ()
+    specimens = specimen_columns(above, names, units, file.options)
+    return specimens if len(specimens) > 1 else [None]
 
 
 def _no_trial(file: InputFile, workbook: Any) -> InputError:
@@ -198,6 +196,8 @@ def _read_sheet(file: InputFile, sheet: str, cells: Cells, found: Anchor, *, nam
     place = Place(file.path, sheet)
     head = _head(cells[: found.first])
     printed, units = found.head(head)
+    beside = units_beside(printed, (tuple(map(_shown, row)) for row in cells[found.first :]), place)
+    units = with_units(printed, units, beside, place)
     line = None if found.names is None else found.names + 1
     choice = choose_columns(printed, units, options=file.options, place=place, line=line)
     results = _results(cells, found, printed, units, file.options)

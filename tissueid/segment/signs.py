@@ -22,7 +22,9 @@ DOUBTFUL_EXCURSION = 0.5
 #: Share of the force's own change that its change over the travel must reach to have a sign.
 DOUBTFUL_FORCE = 0.3
 #: Names of what is left between the tools, or above the table: it falls as the tool goes in.
-_CLOSES = re.compile(r"gap|separation|abstand|[ée]cartement|height|h(?:ö|oe)he|hauteur", re.IGNORECASE)
+_CLOSES = re.compile(
+    r"gap|separation|abstand|[ée]cartement|height|h(?:ö|oe)he|hauteur|tip ?position", re.IGNORECASE
+)
 #: Samples that tell the first level of the force.
 FIRST_SAMPLES = 5
 
