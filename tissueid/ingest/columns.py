@@ -314,8 +314,7 @@ def _none_found(head: _Head, channel: Channel, place: Place, line: int | None) -
         if column.unit and head.may_be(column, channel) and quantity_of(column.unit) != wanted:
             message = (
                 f"column {column.shown!r} is in {column.unit!r}, which does not measure {wanted}, and"
-                f" there is no other; {_WAY_OUT}, or state the unit with"
-                f" --units {channel}={INTERNAL_UNITS[wanted]}{_declare(column, channel)}"
+                f" there is no other; {_WAY_OUT}, or {_state(column, channel, INTERNAL_UNITS[wanted])}"
             )
             return place.refusal("wrong_unit", message, line=line, column=column.index + 1)
     return place.refusal(
@@ -344,12 +343,14 @@ def _way_out(head: _Head, channel: Channel) -> str:
     return f"{_WAY_OUT}, or {'state the rate by time=100Hz' if channel == 'time' else 'export it as well'}"
 
 
-def _declare(column: _Column, channel: Channel) -> str:
-    """Declaration of a strain or stress, where the column's unit is one."""
+def _state(column: _Column, channel: Channel, likely: str) -> str:
+    """Way out for a column in a unit of something else: volts are none of any channel, whatever is stated."""
     measured = quantity_of(column.unit or "")
-    if measured in AXES.get(channel, ())[1:]:
-        return f", or declare the axis with --axes {channel}={measured}"
-    return ""
+    if measured == "other":
+        return f"export it as {INTERNAL_UNITS[channel]}, calibrated"
+    declared = measured in AXES.get(channel, ())[1:]
+    axis = f", or declare the axis with --axes {channel}={measured}" if declared else ""
+    return f"state the one it is in, as with --units {channel}={likely}{axis}"
 
 
 def _agrees(unit: str, quantity: Quantity, factor: float) -> bool:
@@ -386,10 +387,7 @@ def _factor(
     except ValueError as error:
         known = any(quantity_of(unit) not in (None, quantity) for unit in column.units)
         likely = _IN_CAPITALS.get(column.unit, internal if column.unit.isalpha() else "UNIT")
-        message = (
-            f"column {column.shown!r}: {error}; or state the one it is in, as with --units {channel}={likely}"
-            f"{_declare(column, channel)}"
-        )
+        message = f"column {column.shown!r}: {error}; or {_state(column, channel, likely)}"
         place.refuse("wrong_unit" if known else "unknown_unit", message, line=line, column=column.index + 1)
     if len(set(factors)) > 1:
         message = (
