@@ -426,12 +426,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     if found is None:
         raise _no_numbers(rows, delimiter, options, place)
     _refuse_rows_above(rows, found, place)
-    volts = next((k for k, line in enumerate(lines[:_HEAD_LINES]) if _IN_VOLTS.match(line)), None)
-    if volts is not None:
-        message = (
-            f"{lines[volts].strip()!r}: volts are no travel and no force; export them in calibrated units"
-        )
-        place.refuse("wrong_unit", message, line=volts + 1)
+    _refuse_volts(lines, place)
     names, units = found.head(rows)
     if found.names is not None and found.units is None:
         units = stated_units(rows[: found.names], names, options)
@@ -473,6 +468,16 @@ def numeric_columns(sample: Sequence[Row], n_columns: int) -> tuple[bool, ...]:
     return tuple(
         bool(first) and all(i < len(row) and looks_numeric(row[i]) for row in first) for i in range(n_columns)
     )
+
+
+def _refuse_volts(lines: Sequence[str], place: Place) -> None:
+    """Refuse what a data logger says that it wrote in volts."""
+    volts = next((k for k, line in enumerate(lines[:_HEAD_LINES]) if _IN_VOLTS.match(line)), None)
+    if volts is not None:
+        message = (
+            f"{lines[volts].strip()!r}: volts are no travel and no force; export them in calibrated units"
+        )
+        place.refuse("wrong_unit", message, line=volts + 1)
 
 
 def _refuse_rows_above(rows: Sequence[Row], found: Anchor, place: Place) -> None:
