@@ -187,3 +187,18 @@ def test_tables_of_rarer_suffixes_are_found_in_a_folder(tmp_path: Path) -> None:
         put(tmp_path / name, text)
     put(tmp_path / "readme.tab", "Nothing to see here.\n")
     assert [Path(one.source.path).name for one in read_trials(tmp_path)] == ["a.tab", "b.ddf"]
+
+
+@pytest.mark.parametrize(
+    ("data", "kind"),
+    [
+        (b"MATLAB 5.0 MAT-file", "a MATLAB file"),
+        (b"TDSm\x0e\0\0\0", "a LabVIEW TDMS"),
+        (b"\x93NUMPY\1", "NumPy"),
+    ],
+)
+def test_files_of_programs_are_refused_by_what_they_are(tmp_path: Path, data: bytes, kind: str) -> None:
+    (tmp_path / "a.mat").write_bytes(data + bytes(200))
+    error = refused(tmp_path / "a.mat", "not_an_export")
+    assert kind in str(error)
+    assert str(error).endswith("or save its columns as CSV")

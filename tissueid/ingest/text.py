@@ -155,6 +155,9 @@ _MAGIC = (
     (b"\x1f\x8b", "gzip-compressed"),
     (b"7z\xbc\xaf", "a 7z archive"),
     (b"\x89HDF", "an HDF5 file"),
+    (b"MATLAB ", "a MATLAB file"),
+    (b"TDSm", "a LabVIEW TDMS file"),
+    (b"\x93NUMPY", "an array of NumPy"),
     (b"\x7fELF", "a program"),
     (b"MZ", "a program"),
     (b"PK\x03\x04", "a zip archive or workbook"),
@@ -225,7 +228,7 @@ def foreign_kind(head: bytes) -> str | None:
 
 def refuse_foreign(kind: str, place: Place) -> NoReturn:
     """Refuse a file that is no text table."""
-    message = f"this is {kind}, not the raw data of a test; give the export of the test machine"
+    message = f"this is {kind}, no table; give the export of the test machine, or save its columns as CSV"
     place.refuse("not_an_export", message)
 
 
