@@ -177,7 +177,8 @@ def test_a_force_curve_saved_as_text_is_read_by_its_remarks(tmp_path: Path) -> N
 def test_a_deflection_in_volts_and_a_head_of_other_columns_are_refused(tmp_path: Path) -> None:
     names = "measuredHeight verticalTipPosition vDeflection seriesTime"
     volts = str(refused(jpk(tmp_path / "a.txt", names, unit="V"), "wrong_unit"))
-    assert volts.endswith("or export it as N, calibrated") and "--units" not in volts
+    assert volts.endswith("or export it as N, calibrated")
+    assert "--units" not in volts
     assert "names 3, the rows have 4" in str(refused(jpk(tmp_path / "b.txt", names[15:]), "ragged_rows"))
 
 
