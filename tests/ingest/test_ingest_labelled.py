@@ -52,6 +52,12 @@ def test_a_row_may_name_its_cells(tmp_path: Path, form: str, factor: float) -> N
     assert trial.force_N == pytest.approx(factor * FORCE, abs=1e-4 * factor)
 
 
+def test_names_of_the_head_stand_before_those_in_the_cells(tmp_path: Path) -> None:
+    text = "Time (s),Position (mm),Load (mN),Phase\n" + rows("{t:.3f},{x:.4f},{f:.4f},Step=2\n")
+    (trial,) = read_trials(put(tmp_path / "a.csv", text))
+    assert trial.force_N == pytest.approx(1e-3 * FORCE, abs=1e-7)
+
+
 @pytest.mark.parametrize(
     ("head", "form"),
     [

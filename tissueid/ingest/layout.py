@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import zip_longest
 
 from tissueid.flags import Flag
 from tissueid.ingest.columns import channel_columns, has_channels, split_name
@@ -439,7 +440,8 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
         message = "under the names stand results or another table, but no row of numbers; export the raw data"
         place.refuse("no_rows", message, line=found.first + 1)
     n_columns = Counter(map(len, sample)).most_common(1)[0][0]
-    names = text.names if any(text.names) else names
+    if any(text.names):
+        names = tuple(one or own for one, own in zip_longest(names, text.names, fillvalue=""))
     # of both loops none begins where no column holds units
     cells = (split_line(text.decode(line), delimiter) for all_ in (text.data,) for line in all_.splitlines())
     units = with_units(names, units, text.units or units_beside(names, cells, place), place)
