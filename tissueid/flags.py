@@ -36,7 +36,7 @@ _SERIOUS = {
         "Export again with more digits, or state --decimal.", "may have lost decimal marks", "repeat"),
     "clipped_force": FlagKind("Clipped force",
         "the force stands at its extreme for several samples: clipped load cell",
-        "The true peak was higher; stiffness is too low.", "Take a larger load cell, or less depth.",
+        "The true peak was higher; samples at the limit are not fitted.", "Take a larger load cell, or less depth.",
         "have a clipped force", "repeat"),
     "too_few_samples": FlagKind("Samples", "too few samples to segment or fit",
         "There is nothing to segment or fit.", "Sample faster, let the test run, or state other times.",

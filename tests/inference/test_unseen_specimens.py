@@ -53,6 +53,25 @@ def test_a_law_that_predicts_a_little_better_widens_what_relaxes_after_a_step(se
     assert abs(over - 1.4) < 3.0 * error
 
 
+def test_forces_at_the_limit_of_a_cell_are_not_fitted(tmp_path):
+    def kelvin_voigt(time, x):
+        return 0.3 * x + 0.05 * x**2 + 0.02 * x**3 + 0.5 * relaxing(time, x, 3.0)
+
+    whole = recorded(kelvin_voigt, seed=3, depth=5.7, hold_s=60.0)
+    force = np.minimum(whole.force_N, 0.9 * whole.force_N.max())
+    table = np.column_stack([whole.time_s, whole.displacement_mm, force])
+    path = tmp_path / "overload.csv"
+    np.savetxt(path, table, "%.5f", ",", header="Time (s),Displacement (mm),Force (N)", comments="")
+    (trial,) = ti.read_trials(path)
+    assert "clipped_force" in {flag.code for flag in trial.flags}
+    fit = ti.fit(trial)
+    truth = {"static_1_N_per_mm": 0.3, "stiffness_0_N_per_mm": 0.5, "relaxation_time_s": 3.0}
+    found = {one.name: one for one in fit.result.parameters if one.name in truth}
+    for name, value in truth.items():
+        assert abs(found[name].value - value) < 3.0 * found[name].stderr < 0.2 * value
+    assert fit.result.trials[0].n_samples < trial.time_s.size - np.count_nonzero(force == force.max())
+
+
 @pytest.mark.parametrize(
     ("value", "total", "alone", "held"),
     [
