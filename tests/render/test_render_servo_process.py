@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
@@ -226,14 +227,44 @@ class TestInOneProcess:
         assert end.reason == "ticks"
         assert '"compiled": false' in pipes.told()
 
-    def test_a_law_that_raises_ends_with_the_device_closed(self, pipes, monkeypatch):
+    @pytest.mark.parametrize(
+        ("fails", "said"),
+        [
+            (lambda: 1 / 0, "broken raised ZeroDivisionError: division by zero"),
+            (lambda: sys.exit(3), "broken raised SystemExit: 3"),
+            (lambda: [1.0, 2.0], "broken raised ValueError: cannot reshape"),
+            (lambda: time.sleep(3.0), "broken did not return within 50 ms"),
+            (lambda: stubborn(), "broken did not return within 50 ms"),
+        ],
+    )
+    def test_a_law_that_fails_or_does_not_return_ends_in_zero_force(self, pipes, monkeypatch, fails, said):
+        calls = []
+
         def broken(position_m, velocity_m_per_s, dt_s):
-            raise ZeroDivisionError
+            calls.append(time.monotonic())
+            # force waits for a law that gives none at first
+            return fails() if len(calls) > 400 else np.array([0.0, 0.0, 0.5 * (len(calls) > 200)])
 
         monkeypatch.setattr(servo_process, "environment_law", lambda name: broken)
-        plan = ServoPlan("sim", {"real_time": True}, law="broken", ticks=80, alive_wanted=False)
-        with pytest.raises(ZeroDivisionError):
-            pipes.run(plan)
+        before = signal.getsignal(signal.SIGALRM)
+        plan = ServoPlan("sim", {"real_time": True}, law="broken", ticks=2000, alive_wanted=False)
+        pipes.block.order(COMMAND_ENGAGE)
+        end = pipes.run(plan)
+        assert (end.reason, end.fault, len(calls)) == ("fault", Fault.NOT_A_NUMBER, 401)
+        assert end.message.startswith(f"the servo took the force away: {said}")
+        records = pipes.ring.records[: pipes.ring.published]
+        forces = np.abs(records["force_N"]).max(axis=1)
+        assert forces[-1] == 0.0 < forces.max()
+        assert records["time_s"][np.flatnonzero(forces)[-1]] - calls[-1] < 0.5
+        assert signal.getsignal(signal.SIGALRM) is before
+
+
+def stubborn():
+    """Spin, and swallow what may be swallowed."""
+    while True:
+        with contextlib.suppress(Exception):
+            while True:
+                pass
 
 
 class TestPlan:

@@ -267,8 +267,9 @@ def observe_wire(memory: FloatArray, limits: FloatArray, unanswered: int, dt: fl
     more = unanswered - max(limits[bar.DELAY_TICKS] - bar.DEFAULT_DELAY_TICKS, 0.0)
     # in a silence nothing is late yet: it may be lost
     late = more >= LATE_COMMANDS and memory[SILENT_S] == 0.0
-    memory[LATE_S] = memory[LATE_S] + dt if late else 0.0
-    memory[DELAYED_TICKS] = max(0.0, memory[DELAYED_TICKS] - FORGOTTEN_PER_S * dt)
+    step = dt if 0.0 < dt <= limits[bar.STALL_S] else limits[bar.STALL_S]
+    memory[LATE_S] = memory[LATE_S] + step if late else 0.0
+    memory[DELAYED_TICKS] = max(0.0, memory[DELAYED_TICKS] - FORGOTTEN_PER_S * step)
     if memory[LATE_S] >= LATE_FOR_S:
         memory[DELAYED_TICKS] = max(memory[DELAYED_TICKS], more)
 

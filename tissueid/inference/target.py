@@ -417,6 +417,8 @@ class SpecimenTarget:
             v = x[:, places["ln_gain_sd"]]
             outside |= (v <= -14.0) | (v >= 10.0)
             value += v - 0.5 * (np.exp(np.minimum(v, 10.0)) / self.priors.gain_sd) ** 2
+            # flat in the logarithm of the common scale: flat in every coefficient drew it upwards
+            value -= self.law.linear * np.log(np.maximum(x @ self.scale, LEAST_SCALE))
         if "contact" in places:
             value -= 0.5 * float(prior.own[0, 0]) * x[:, places["contact"]] ** 2
         if "ln_memory" in places:
@@ -477,9 +479,8 @@ class SpecimenTarget:
         for i in range(q):
             right[:, :, i] = np.add.reduceat(columns[i] * white[0], begins, axis=1)
             for j in range(i + 1):
-                inner[:, :, i, j] = inner[:, :, j, i] = np.add.reduceat(
-                    columns[i] * columns[j], begins, axis=1
-                )
+                product = np.add.reduceat(columns[i] * columns[j], begins, axis=1)
+                inner[:, :, i, j] = inner[:, :, j, i] = product
         precision = np.broadcast_to(own_precision(self.system, self.identified.scatter), (len(x), logs, q))
         if self.system.effects.gain:
             precision = precision.copy()
@@ -517,9 +518,8 @@ class SpecimenTarget:
             out += straight_beyond(curve, z[:, machine + rest.index(place)])[1]
         if self.ridges.widths is not None:
             roots = np.diagonal(self.ridges.widths(self._scatter(x)), axis1=1, axis2=2)
-            out += np.log(np.delete(roots, [rest.index(k) for k in self.ridges.quantiles], axis=1)).sum(
-                axis=1
-            )
+            roots = np.delete(roots, [rest.index(k) for k in self.ridges.quantiles], axis=1)
+            out += np.log(roots).sum(axis=1)
         if self.ridges.ln_scale is not None:
             out += self.law.linear * np.log(x @ self.scale)
         return out

@@ -2,8 +2,8 @@
 
 From contact to the end of the last ramp or hold before the tool first turns back, or to the first rupture.
 Cycles before a test take no part; where the tool stayed in contact, the state is carried through them.
-Samples within three standard deviations of a contact that was found stay out of the likelihood, and so do
-those at the limit of an overloaded load cell.
+Samples within three standard deviations of a contact that was found, or at the limit of an overloaded cell,
+stay out of the likelihood.
 """
 
 from __future__ import annotations
@@ -153,7 +153,9 @@ def fitted_log(
     turn = first_turn(segmentation, depth, first)
     last = max(usable_until(segmentation, depth.size), turn) if whole else turn
     time, x, f = trial.time_s[first:last], depth[first:last], force[first:last]
-    include = (np.arange(first, last) >= begins) & ~_clipped(trial)[first:last]
+    # at the limit of an overloaded cell the force was larger
+    limits = [flag.values["force_N"] for flag in trial.flags if flag.code == "clipped_force"]
+    include = (np.arange(first, last) >= begins) & ~np.isin(trial.force_N[first:last], limits)
     if contact.in_record or guard:
         include &= x >= GUARD_SD * contact.sd_mm
     exact = trial.protocol.kind == RENDERED
@@ -192,12 +194,6 @@ def fitted_log(
         has_hold=any(phase.kind in ("hold", "creep") for phase in inside),
         n_samples=int(include.sum()),
     )
-
-
-def _clipped(trial: Trial) -> NDArray[np.bool_]:
-    """Samples at the limit of an overloaded cell: the force was larger."""
-    limits = [flag.values["force_N"] for flag in trial.flags if flag.code == "clipped_force"]
-    return np.asarray(np.isin(trial.force_N, limits))
 
 
 def with_holds_cut(log: FittedLog, holds: Sequence[Phase], share: float) -> FittedLog:

@@ -134,12 +134,13 @@ class ServoEnd:
     fault: Fault
     state: State  # before the device was closed
     statistics: PeriodStatistics
+    said: str = ""  # what went wrong in a force law of another distribution
 
     @property
     def message(self) -> str:
         """One sentence for the console and the log."""
         if self.fault is not Fault.NONE:
-            return f"the servo took the force away: {FAULT_WORDS[self.fault]}"
+            return f"the servo took the force away: {self.said or FAULT_WORDS[self.fault]}"
         return {"signal": "the servo was told to end by a signal"}.get(self.reason, "the servo ended")
 
 

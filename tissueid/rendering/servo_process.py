@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import select
 import signal
+from contextlib import nullcontext
 from dataclasses import asdict
 from types import FrameType
 from typing import Any, Self
@@ -27,6 +28,7 @@ from tissueid.haptics.ring import Ring
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import FAULT_WORDS, Fault
+from tissueid.rendering.bounded_law import BoundedLaw
 from tissueid.rendering.first_start import is_compiled
 from tissueid.rendering.servo import REASONS, ServoEnd, ServoPlan, period_statistics, receive_plan, send_line
 from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
@@ -73,10 +75,10 @@ def _must_be_owned(owner: int) -> None:
         raise DeviceError(FAULT_WORDS[Fault.PARENT_DIED])
 
 
-def _reach(device: HapticDevice, law: str | None) -> tuple[Any, bool]:
+def _reach(device: HapticDevice, law: BoundedLaw | None) -> tuple[Any, bool]:
     """Access of the loop to an open device, and if it is compiled."""
     if law is not None:
-        return PythonIO(device, environment_law(law)), False
+        return PythonIO(device, law), False
     given = device.compiled()
     compiles = not getattr(numba.config, "DISABLE_JIT", False)
     return (PythonIO(device), False) if given is None else (compiled_io(given), compiles)
@@ -99,7 +101,8 @@ def run_plan(
     hand: SharedHand | None = None,
 ) -> ServoEnd:
     """Open the device, run the loop, close the device; DeviceError or UsageError where it can't be used."""
-    with SignalWatch() as signals:
+    law = None if plan.law is None else BoundedLaw(plan.law, environment_law(plan.law))
+    with SignalWatch() as signals, law or nullcontext():
         device = device_class(plan.device)(**plan.options)
         if hand is not None:
             _share_hand(device, hand)
@@ -107,7 +110,7 @@ def run_plan(
         device.while_waiting = lambda: _must_be_owned(owner)
         try:
             device.open()
-            io, compiled = _reach(device, plan.law)
+            io, compiled = _reach(device, law)
             loop = compiled_loop if compiled else realtime_loop
             servo = new_servo(device, ring, block)
             histogram = np.zeros(BINS + 1, np.int64)
@@ -126,7 +129,8 @@ def run_plan(
             reason = loop(io, servo, watch, histogram, plan.period_ns, plan.ticks)
             missed = int(servo.counters[MISSED])
             statistics = period_statistics(histogram, missed, plan.period_ns, schedule.name)
-            return ServoEnd(REASONS[reason], device.fault, device.state, statistics)
+            said = "" if law is None else law.said
+            return ServoEnd(REASONS[reason], device.fault, device.state, statistics, said)
         finally:
             signals.in_loop = True
             device.close()
