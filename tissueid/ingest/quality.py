@@ -155,7 +155,7 @@ EVEN_SAMPLES = (6, 400)
 #: whole travel (noise of a standing crosshead).
 EVEN_SHARE, STANDING_SHARE = 0.02, 1e-3
 #: More than this share of all samples are no single samples but the noise itself.
-AT_MOST = 0.005
+AT_MOST = 0.02
 #: Corners and changes of the sampling look like spikes at first sight; so many are judged in any recording.
 FEW_CANDIDATES = 40
 _NORMAL_SD_OVER_MEDIAN = 1.4826
