@@ -32,7 +32,7 @@ _HEADER = """\
  *
  * depth_mm is the tool below the resting surface at the end of the step, negative in air; dt_s the measured
  * step.  The force is never negative: without adhesion a tool is not pulled.  Exact for motion that is linear
- * within a step, whatever its length.
+ * within a step and in contact throughout; a step in which contact begins or ends should be short.
  */
 #ifndef @UPPER@_H
 #define @UPPER@_H

@@ -385,7 +385,8 @@ def forward(
 ) -> FloatArray:
     """Grip position (3,) [m] of leg angles (3,) [rad], in front of the base and with the knees outward.
 
-    ``guess``: position nearby [m]; spares some Newton steps, and never changes the answer beyond rounding.
+    ``guess``: position nearby [m]; spares some Newton steps, and within the stops never changes the answer
+    beyond rounding: outside them several positions may have these angles.
     Raises WorkspaceError: no position has these angles.
     """
     angles = _vector(angles_rad, "angles")
