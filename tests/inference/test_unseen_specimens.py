@@ -53,10 +53,26 @@ def test_a_law_that_predicts_a_little_better_widens_what_relaxes_after_a_step(se
     assert abs(over - 1.4) < 3.0 * error
 
 
-def test_forces_at_the_limit_of_a_cell_are_not_fitted(tmp_path):
-    def kelvin_voigt(time, x):
-        return 0.3 * x + 0.05 * x**2 + 0.02 * x**3 + 0.5 * relaxing(time, x, 3.0)
+def kelvin_voigt(time, x):
+    return 0.3 * x + 0.05 * x**2 + 0.02 * x**3 + 0.5 * relaxing(time, x, 3.0)
 
+
+def test_two_logs_leave_what_they_have_in_common_open_evenly():
+    logs = [
+        recorded(lambda time, x, gain=gain: gain * kelvin_voigt(time, x), seed=seed)
+        for seed, gain in enumerate((1.03, 0.97))
+    ]
+    fit = ti.fit(logs, specimen="two sites").sample()
+    found = {one["name"]: one for one in fit.result.as_json()["parameters"]}
+    for name, truth in (("static_1_N_per_mm", 0.3), ("stiffness_0_N_per_mm", 0.5)):
+        low, high = found[name]["ci95_total"]
+        up, down = np.log(high / found[name]["value"]), np.log(found[name]["value"] / low)
+        assert low < truth < high
+        # flat priors of coefficients had them four times as far up as down
+        assert 0.5 < up / down < 2.0
+
+
+def test_forces_at_the_limit_of_a_cell_are_not_fitted(tmp_path):
     whole = recorded(kelvin_voigt, seed=3, depth=5.7, hold_s=60.0)
     force = np.minimum(whole.force_N, 0.9 * whole.force_N.max())
     table = np.column_stack([whole.time_s, whole.displacement_mm, force])
