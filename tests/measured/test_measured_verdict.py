@@ -94,6 +94,7 @@ KEPT: dict[str, dict[str, Any]] = {
     "a ramp of twenty samples": {"rate_Hz": 10.0, "brake_s": 0.0},
     "slow drift": {"drift_N_per_s": 0.001, "air_mm": 6.0},
     "an offset zero": {"zero_N": -3.0},
+    "a hold that does not relax": {"tau_s": 1e-4, "noise_N": 0.1, "hold_s": 30.0, "seed": 11},
 }
 
 

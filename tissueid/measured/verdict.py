@@ -110,9 +110,12 @@ def _too_short(trial: Trial, hold: MeasuredHold) -> Iterator[str]:
             f"hold too short: {hold.length_s:.3g} s for a relaxation time of {tau:.2g} s; "
             f"hold {HELD_TAUS * tau:.2g} s or longer"
         )
-    held = trial.time_s[(trial.time_s >= hold.start_s) & (trial.time_s <= hold.start_s + HELD_TAUS * tau)]
+    first = int(np.searchsorted(trial.time_s, hold.start_s))
+    last = int(np.searchsorted(trial.time_s, hold.start_s + HELD_TAUS * tau, side="right"))
+    held = trial.time_s[first : max(last, first + 2)]
     step = float(np.diff(held).mean()) if held.size > 1 else hold.length_s
-    if tau < FEWEST_IN_TAU * step:
+    # the noise of a hold that does not relax has a time below its step
+    if step <= tau < FEWEST_IN_TAU * step:
         yield (
             f"sampling too slow: a relaxation time of {tau:.2g} s, samples {step:.2g} s apart; "
             f"take {SAMPLES_IN_TAU / tau:.2g} Hz"
