@@ -2,8 +2,7 @@
 
 From contact to the end of the last ramp or hold before the tool first turns back, or to the first rupture.
 Cycles before a test take no part; where the tool stayed in contact, the state is carried through them.
-Samples within three standard deviations of a contact that was found, or at the limit of an overloaded cell,
-stay out of the likelihood.
+Samples within three sd of a contact that was found, or at the limit of the cell, are not in the likelihood.
 """
 
 from __future__ import annotations
@@ -153,7 +152,6 @@ def fitted_log(
     turn = first_turn(segmentation, depth, first)
     last = max(usable_until(segmentation, depth.size), turn) if whole else turn
     time, x, f = trial.time_s[first:last], depth[first:last], force[first:last]
-    # at the limit of an overloaded cell the force was larger
     limits = [flag.values["force_N"] for flag in trial.flags if flag.code == "clipped_force"]
     include = (np.arange(first, last) >= begins) & ~np.isin(trial.force_N[first:last], limits)
     if contact.in_record or guard:
