@@ -108,7 +108,7 @@ INTERPRETED = (
                 "limits[bar.DELAY_TICKS]",
             ),
             "a late answer is forgotten at once": (
-                "memory[DELAYED_TICKS] - FORGOTTEN_PER_S * dt",
+                "memory[DELAYED_TICKS] - FORGOTTEN_PER_S * step",
                 "memory[DELAYED_TICKS] - 1e6 * dt",
             ),
         },
