@@ -72,6 +72,18 @@ def test_two_logs_leave_what_they_have_in_common_open_evenly():
         assert 0.5 < up / down < 2.0
 
 
+def test_what_is_stated_of_a_coefficient_is_not_drawn_down_by_the_common_size():
+    logs = [recorded(lambda t, x, g=g: g * kelvin_voigt(t, x), seed=k) for k, g in enumerate((1.2, 0.8))]
+    names = ("static_1_N_per_mm", "static_2_N_per_mm2", "static_3_N_per_mm3", "stiffness_0_N_per_mm")
+    stated = {name: (value, 0.1 * value) for name, value in zip(names, (0.3, 0.05, 0.02, 0.5), strict=True)}
+    options = ti.FitOptions(branches=1, stiffness_degree=0)
+    fit = ti.fit(logs, specimen="two sites", priors=ti.Priors(linear=stated), options=options).sample()
+    for one in fit.result.as_json()["parameters"]:
+        if one["name"] in names:
+            mean, sd = stated[one["name"]]
+            assert abs(one["value"] - mean) < 0.25 * sd
+
+
 def test_forces_at_the_limit_of_a_cell_are_not_fitted(tmp_path):
     whole = recorded(kelvin_voigt, seed=3, depth=5.7, hold_s=60.0)
     force = np.minimum(whole.force_N, 0.9 * whole.force_N.max())

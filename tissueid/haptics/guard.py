@@ -220,6 +220,12 @@ _JUMP, _OVERSPEED, _NOT_HOMED = float(Fault.ENCODER_JUMP), float(Fault.OVERSPEED
 
 
 @tick_part
+def _bounded(limits: FloatArray, dt: float) -> float:
+    """A step of time as far as a stall, which a step that is no time counts as."""
+    return float(dt if 0.0 < dt <= limits[bar.STALL_S] else limits[bar.STALL_S])
+
+
+@tick_part
 def observe(
     memory: FloatArray,
     limits: FloatArray,
@@ -242,7 +248,7 @@ def observe(
     if state < HOMING or state == FAULTED:
         return
     # our own stall is not the device's silence: a tick counts for no more than the longest good one
-    step = dt if 0.0 < dt <= limits[bar.STALL_S] else limits[bar.STALL_S]
+    step = _bounded(limits, dt)
     gap = memory[SILENT_S] + dt
     _count_replies(memory, limits, reply, step)
     if memory[STATE] == FAULTED or reply != REPLY_VALID:
@@ -267,7 +273,7 @@ def observe_wire(memory: FloatArray, limits: FloatArray, unanswered: int, dt: fl
     more = unanswered - max(limits[bar.DELAY_TICKS] - bar.DEFAULT_DELAY_TICKS, 0.0)
     # in a silence nothing is late yet: it may be lost
     late = more >= LATE_COMMANDS and memory[SILENT_S] == 0.0
-    step = dt if 0.0 < dt <= limits[bar.STALL_S] else limits[bar.STALL_S]
+    step = _bounded(limits, dt)
     memory[LATE_S] = memory[LATE_S] + step if late else 0.0
     memory[DELAYED_TICKS] = max(0.0, memory[DELAYED_TICKS] - FORGOTTEN_PER_S * step)
     if memory[LATE_S] >= LATE_FOR_S:
@@ -392,7 +398,7 @@ def guard(memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, 
     that is not a good tick counts as a stall.
     """
     stalled = not 0.0 < dt <= limits[bar.STALL_S]
-    step = limits[bar.STALL_S] if stalled else dt
+    step = _bounded(limits, dt)
     lamps = _STALLED if stalled else 0
     if memory[LET_GO] != 0.0:
         lamps |= _LET_GO

@@ -417,8 +417,8 @@ class SpecimenTarget:
             v = x[:, places["ln_gain_sd"]]
             outside |= (v <= -14.0) | (v >= 10.0)
             value += v - 0.5 * (np.exp(np.minimum(v, 10.0)) / self.priors.gain_sd) ** 2
-            # flat in the logarithm of the common scale: flat in every coefficient drew it upwards
-            value -= self.law.linear * np.log(np.maximum(x @ self.scale, LEAST_SCALE))
+            free = sum(name not in self.priors.linear for name in self.law.linear_names)
+            value -= free * np.log(np.maximum(x @ self.scale, LEAST_SCALE))  # flat in ln of the common scale
         if "contact" in places:
             value -= 0.5 * float(prior.own[0, 0]) * x[:, places["contact"]] ** 2
         if "ln_memory" in places:

@@ -272,7 +272,7 @@ def read_jpk_text(file: InputFile) -> Iterator[Table | InputError]:
         if isinstance(item, InputError):
             yield item
             continue
-        bent = item.columns["displacement"].startswith(tuple(heights)) if heights else False
+        bent = item.columns["displacement"].startswith(tuple(heights))
         stiffness = next(iter(said.get("springConstant", ())), None) if bent else None
         bending = _bending(item.displacement_mm / _M_TO_MM, item.force_N, stiffness)
         yield replace(item, flags=(*item.flags, *bending), protocol=Protocol(kind="afm"))

@@ -7,6 +7,7 @@ table of results is known by its title, by a row of statistics, or by names and 
 from __future__ import annotations
 
 import csv
+import io
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -442,8 +443,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     n_columns = Counter(map(len, sample)).most_common(1)[0][0]
     if any(text.names):
         names = tuple(one or own for one, own in zip_longest(names, text.names, fillvalue=""))
-    # of both loops none begins where no column holds units
-    cells = (split_line(text.decode(line), delimiter) for all_ in (text.data,) for line in all_.splitlines())
+    cells = (split_line(text.decode(line), delimiter) for line in io.BytesIO(text.data))
     units = with_units(names, units, text.units or units_beside(names, cells, place), place)
     decimal = options.decimal or find_decimal(text, sample, delimiter, place, first=found.first, rows=below)
     layout = Layout(

@@ -56,14 +56,13 @@ def specimen_columns(
     ):
         return _named_by(above, spans)
     spans = repeats or _spans([i for i, name in enumerate(names) if _is(name, "time")], names)
-    if not spans or not all(has_channels(names[a:b], units[a:b], options) for a, b in spans):
-        return _beside_one_time(above, names, units, options)
-    if all(_named(above[start:stop]) for start, stop in spans):
+    own_time = bool(spans) and all(has_channels(names[a:b], units[a:b], options) for a, b in spans)
+    if own_time and all(_named(above[start:stop]) for start, stop in spans):
         return _named_by(above, spans)
     groups = {tuple(name.strip() for name in names[start:stop] if name.strip()) for start, stop in spans}
-    if len(spans) < 2 or (len(groups) > 1 and not repeats):
-        return _beside_one_time(above, names, units, options)
-    return [SpecimenColumns(str(k), tuple(range(*span)), is_named=False) for k, span in enumerate(spans, 1)]
+    if own_time and len(spans) > 1 and (repeats or len(groups) == 1):
+        return [SpecimenColumns(str(k), tuple(range(*span)), False) for k, span in enumerate(spans, 1)]
+    return _beside_one_time(above, names, units, options)
 
 
 def _named_by(above: Sequence[str], spans: Sequence[tuple[int, int]]) -> list[SpecimenColumns]:
