@@ -204,7 +204,9 @@ def test_a_contact_that_no_shape_describes_is_as_uncertain_as_the_misfit_whateve
     depth = np.linspace(-0.5, 6.0, 2000)
     x = np.maximum(depth, 0.0)
     force = 60.0 * np.expm1(0.2 * x) + 8.0 * -np.expm1(-x / 0.02) + 20.0 * np.sqrt(x)
-    found = fit_contact(depth, force, noise_N=noise_N, baseline=True, reach_back_mm=0.0)
+    found = fit_contact(
+        depth, force, noise_N=noise_N, noise_samples=depth.size, baseline=True, reach_back_mm=0.0
+    )
     assert not found.adequate
     assert abs(found.contact_mm) <= 2.0 * found.sd_mm
     assert found.sd_mm <= 0.002

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.segment.hinge import STEP, HingeFit, fit_contact
+from tissueid.segment.hinge import STANDING_SHARE, STEP, HingeFit, fit_contact
 from tissueid.segment.motion import Piece, slope_of
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.preload import relaxing_stiffness, with_relaxed
@@ -26,6 +27,8 @@ RISING_SHARE = 0.2
 #: ... by so many standard errors; a drift of the load cell is as sure over so many samples at least.
 SURE = 3.0
 FEWEST_DRIFTING = 20
+#: ... and at rest, where it is taken off, by more of them, so that noise that lasts is none.
+DRIFTING = 10.0
 #: A tool that starts pulls at its cell by its own mass.  Such a kick is over within so many samples of the
 #: start, at least, or this share of the move; it leaves the reading at rest by so many sd of it and comes
 #: back within so many, for as long as it lasted.
@@ -79,6 +82,25 @@ def left_air(depth_mm: FloatArray, force_N: FloatArray, contact_mm: float, noise
     return float(depth_mm[last + 1]) if last + 1 < depth_mm.size else None
 
 
+def _drift_at_rest(depth_mm: FloatArray, force_N: FloatArray, start: int, noise_N: float) -> float:
+    """Straight drift of the load cell, from sample to sample, where the tool stands before its move [N].
+
+    Relaxing tissue lets go of a tool that stands and cannot pull at it: only a force that grows, or falls
+    below nothing, is the cell's.
+    """
+    before = depth_mm[: start + 1]
+    elsewhere = np.flatnonzero(np.abs(before - before[-1]) > STANDING_SHARE * float(np.ptp(depth_mm)))
+    force = force_N[int(elsewhere[-1]) + 1 if elsewhere.size else 0 : start + 1]
+    if force.size < FEWEST_DRIFTING:
+        return 0.0
+    slope, error = _rise(force, noise_N)
+    least = PRELOAD_SD * noise_N / np.sqrt(force.size)
+    half, half_error = _rise(force[force.size // 2 :], noise_N)
+    straight = abs(half - slope) <= SURE * half_error
+    its_own = slope > 0.0 or float(force.mean()) < -least
+    return slope if abs(slope) > DRIFTING * error and straight and its_own else 0.0
+
+
 def _rise(force_N: FloatArray, noise_N: float) -> tuple[float, float]:
     """Mean rise of the force from sample to sample, and its standard error."""
     slope, spread = slope_of(np.arange(float(force_N.size)), force_N)
@@ -104,7 +126,7 @@ START_DENSITY = 0.011
 #: ... or below this one (3.3 sd), where it may be a preload ...
 DOUBTFUL_START_DENSITY = 0.0045
 #: ... and, where samples in air are few, where contact lies this many of its sd behind the start.
-FEW_AIR_SD = 3.5
+FEW_AIR_SD = 5.5
 #: Share of the depth over which the secant of a curved tip is taken.
 EARLY_SHARE = 0.2
 #: A preload is believed where that density, with a load cell that was tared, is below this share.
@@ -123,15 +145,13 @@ REACH_SD = 3.0
 PRELOAD_SD = 4.0
 #: A start is preloaded by more than this share of the force range; less may be the load cell's zero.
 PRELOAD_SHARE = 0.01
-#: Samples shallower than a tool that stands by more than this share of the travel are on its way there.
-STANDING_SHARE = 1e-3
 #: Samples at rest before a ramp that tell what it starts from: after them a start kick tells nothing.
 FEWEST_RESTING = 3
 #: Force that rises by less than this many noise sd over a ramp never met anything.
 CONTACT_SD = 6.0
-#: A move has touched the tissue before another pushes into it where force has reached this share of its range
-#: and so many noise sd (fewer place the contact worse than the push does), and, while the tool stands in
-#: between, a share of it is left.
+#: A move has touched the tissue before another pushes into it where, while the tool stands in between, this
+#: share of the force is left.  It places the contact where the force has reached this share of its range and
+#: so many noise sd, and where it does with less, but better than a push that begins in contact.
 TOUCH_SHARE = 0.005
 TOUCH_SD = 20.0
 STAYING_SHARE = 0.25
@@ -175,11 +195,15 @@ def find_contact(
             message = "the tool makes no move into the tissue"
         return None, [Flag("no_contact", message, {"force_range_N": reach, "noise_N": noise_N})]
     move = loading[at]
+    light: list[Contact] = []
     for touch, after in pairwise((*touches, *loading[: at + 1])):
-        if _stays(force_N, touch, after, noise_N):
-            contact = _Approach.of(depth_mm, force_N, touch, first=0, noise_N=noise_N).in_air(signs)
-            if contact is not None:
-                return contact, _uncertain(contact, depth_mm[: move.stop + 1])
+        if not _stays(force_N, touch, after, noise_N):
+            continue
+        contact = _Approach.of(depth_mm, force_N, touch, first=0, noise_N=noise_N).in_air(signs)
+        if contact is not None and _touched(force_N, touch, noise_N):
+            return contact, _uncertain(contact, depth_mm[: move.stop + 1])
+        if contact is not None:
+            light.append(contact)
     # rest before the move tells the reading in air as well, an earlier move in air too
     first = move.start if at else 0
     approach = _Approach.of(depth_mm, force_N, move, first=first, noise_N=noise_N)
@@ -187,7 +211,9 @@ def find_contact(
     if contact is not None:
         return contact, _uncertain(contact, approach.depth_mm)
     relaxing = relaxing_stiffness((time_s, depth_mm, force_N), move, approach.noise_N)
-    return _start_in_contact(approach, signs=signs, relaxing=relaxing)
+    begun, flags = _start_in_contact(approach, signs=signs, relaxing=relaxing)
+    best = min(light, key=lambda one: one.sd_mm, default=begun)
+    return (best, _uncertain(best, approach.depth_mm)) if best.sd_mm < begun.sd_mm else (begun, flags)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,9 +223,11 @@ class _Approach:
     depth_mm: FloatArray
     force_N: FloatArray
     noise_N: float
+    noise_samples: int  # of the record
     begins: int  # sample of the record at which the move begins
     start: int  # sample of these at which it does
     air: HingeFit
+    drift_N: float  # that the force has lost from sample to sample, where a drift shows at rest
 
     @classmethod
     def of(
@@ -208,17 +236,21 @@ class _Approach:
         """The move behind the record from a sample on."""
         u, f, start = depth_mm[first : move.stop + 1], force_N[first : move.stop + 1], move.start - first
         noise = max(noise_N, 1e-6 * float(np.ptp(f)))
-        f = without_kick(f, start, noise)
+        drift = _drift_at_rest(u, f, start, noise)
+        f = without_kick(f - drift * np.arange(-start, f.size - start), start, noise)
         shallower = u[:start] < u[start] - STANDING_SHARE * float(np.ptp(u))
         if shallower.any():
             # the tool stands where it may touch, and what it touches relaxes: the way there tells more
             kept = np.append(shallower, np.ones(u.size - start, dtype=np.bool_))
             u, f, start = u[kept], f[kept], int(shallower.sum())
-        air = fit_contact(u, f, noise_N=noise, baseline=True, reach_back_mm=0.0)
+        fitted = partial(
+            fit_contact, u, f, noise_N=noise, noise_samples=force_N.size, baseline=True, reach_back_mm=0.0
+        )
+        air = fitted()
         latest = left_air(u, f, air.contact_mm, noise)
         if latest is not None and latest < air.contact_mm:
-            air = fit_contact(u, f, noise_N=noise, baseline=True, reach_back_mm=0.0, latest_mm=latest)
-        return cls(u, f, noise, move.start, start, air)
+            air = fitted(latest_mm=latest)
+        return cls(u, f, noise, force_N.size, move.start, start, air, drift)
 
     def in_air(self, signs: tuple[int, int]) -> Contact | None:
         """The contact, where samples before it show air."""
@@ -240,11 +272,12 @@ class _Approach:
         flat = missing > (MISSING_RISE_SD if zero else DOUBTFUL_RISE_SD)
         if not (far and flat and (many or few)) or rises(f[in_air], f[u >= air.contact_mm], noise):
             return None
+        met = int(np.argmax(u[self.start :] >= air.contact_mm))
         return Contact(
-            index=self.begins + int(np.argmax(u[self.start :] >= air.contact_mm)),
+            index=self.begins + met,
             displacement_mm=signs[0] * air.contact_mm,
             sd_mm=float(np.hypot(air.sd_mm, _digits(f[in_air], quantum(f)) / _least_slope(u, f, air))),
-            baseline_N=signs[1] * _reading_in_air(u, f, air, noise),
+            baseline_N=signs[1] * (_reading_in_air(u, f, air, noise) + self.drift_N * met),
             in_record=True,
         )
 
@@ -259,6 +292,13 @@ def _meets(force_N: FloatArray, piece: Piece, noise_N: float) -> bool:
     return rise > CONTACT_SD * noise_N / np.sqrt(edge) and rise > 0.05 * float(np.ptp(force_N))
 
 
+def _touched(force_N: FloatArray, touch: Piece, noise_N: float) -> bool:
+    """True where a move has met so much force that it places the contact better than a push after it."""
+    air = float(np.median(force_N[: touch.start + 1]))
+    least = max(TOUCH_SHARE * float(np.ptp(force_N)), TOUCH_SD * noise_N)
+    return float(force_N[touch.stop]) - air > least
+
+
 def _stays(force_N: FloatArray, touch: Piece, after: Piece, noise_N: float) -> bool:
     """True where a tool stands, before it pushes, under a force that a move has met, and no drag or kick."""
     standing = force_N[touch.stop + 1 : after.start + 1]
@@ -266,8 +306,8 @@ def _stays(force_N: FloatArray, touch: Piece, after: Piece, noise_N: float) -> b
         return False
     air = float(np.median(force_N[: touch.start + 1]))
     reached, left = float(force_N[touch.stop]) - air, float(np.median(standing)) - air
-    least = max(TOUCH_SHARE * float(np.ptp(force_N)), TOUCH_SD * noise_N)
-    return reached > least and left > STAYING_SHARE * reached
+    least = CONTACT_SD * noise_N / np.sqrt(FEWEST_RESTING)
+    return reached > CONTACT_SD * noise_N and left > max(least, STAYING_SHARE * reached)
 
 
 def _digits(air_N: FloatArray, quantum_N: float) -> float:
@@ -351,7 +391,14 @@ def _start_in_contact(
     if u.size >= FEWEST_SAMPLES:
         back = REACH * (max(ahead, 0.0) + REACH_SD * noise_N) / _least_slope(u, f, air)
         back = min(back, 2.0 * float(u.max() - start))
-        fit = fit_contact(u, f, noise_N=noise_N, baseline=False, reach_back_mm=back)
+        fit = fit_contact(
+            u,
+            f,
+            noise_N=noise_N,
+            noise_samples=approach.noise_samples,
+            baseline=False,
+            reach_back_mm=back,
+        )
         contact_mm, sd, believed = fit.contact_mm, fit.sd_mm, fit.at_start < PRELOAD_DENSITY
         if few < FEWEST_RESTING:
             # the whole ramp says more of the force it starts from, which is below its middle, than a sample

@@ -35,7 +35,7 @@ SPREAD = (0.6, 1.5)
 EDGE = 2.0
 EDGE_ROOM = 6.0
 #: Where another mode is looked for, in sd of the first parameter, and by how much it must be higher.
-PROBE = np.sinh(np.linspace(-5.3, 5.3, 15))
+PROBE = np.sinh(np.linspace(-5.3, 5.3, 29))
 PROBE_GAIN = 2.0
 
 
@@ -55,8 +55,10 @@ class Lattice:
         return np.asarray(share / share.sum())
 
 
-def locate(density: Density, limits: tuple[Limits, Limits], guess: float, doubt: float) -> Lattice:
-    """Fit a lattice to a posterior."""
+def locate(
+    density: Density, limits: tuple[Limits, Limits], guess: float, doubt: float, *, beside: float
+) -> Lattice:
+    """Fit a lattice to a posterior, whose mode may lie beside a place."""
     centre = np.array([guess, 0.5 * sum(limits[1])])
     shape = np.diag([max(doubt, 1e-300), 0.5 * (limits[1][1] - limits[1][0])]) / REACH
     for _ in range(MAX_PASSES):
@@ -71,7 +73,7 @@ def locate(density: Density, limits: tuple[Limits, Limits], guess: float, doubt:
             # another mode, far off on the ridge?  Look along both axes before believing this one
             peak = float(log_density[lattice.inside].max())
             mean, sd = float(centre[0] + shape[0, 0] * middle[0]), float(shape[0, 0] * spread[0])
-            other = _elsewhere(density, limits, mean, sd, peak)
+            other = _elsewhere(density, limits, np.append(mean + sd * PROBE, beside), peak)
             if other is None:
                 break
             centre = other
@@ -107,10 +109,9 @@ def _lattice(
 
 
 def _elsewhere(
-    density: Density, limits: tuple[Limits, Limits], mean: float, sd: float, peak: float
+    density: Density, limits: tuple[Limits, Limits], first: FloatArray, peak: float
 ) -> FloatArray | None:
-    """Place of a density clearly higher than the peak found, ``None`` if nowhere on a wide lattice."""
-    first = mean + sd * PROBE
+    """Place of a density clearly higher than the peak found, ``None`` if at none of the first parameters."""
     first = first[(first >= limits[0][0]) & (first <= limits[0][1])]
     if first.size == 0:
         return None
@@ -130,6 +131,9 @@ ADEQUATE_SD = 3.0
 WINDOWS = (1.0, 0.5, 0.25, 0.12, 0.06)
 #: Times the bins are laid anew around a better contact.
 MAX_BINNINGS = 3
+#: A tool that stood at the first sample has left it beyond this share of the travel: of a contact before the
+#: record, the samples from there on tell.
+STANDING_SHARE = 1e-3
 #: Contact is looked for, and first guessed, up to so much before the end of the ramp, in shares of it.
 LAST_CONTACT = 0.02
 LEAST_WINDOW = 0.04
@@ -139,9 +143,7 @@ FEWEST_BINS = 8
 #: curved ramp of few samples costs, and the fewest.
 NOISE_EFFICIENCY = 0.37
 NOISE_CURVATURE = 3.0
-LEAST_FREEDOM = 0.5
-#: Samples from which on the density of a contact at the start leaves out what the place of a kink tells.
-MANY = 64.0
+LEAST_FREEDOM = 2.0
 #: The stated standard deviation is the half width of the 95 % interval over this.
 NORMAL_95 = 1.959963984540054
 #: A step over the sd of a place within it.
@@ -171,16 +173,18 @@ def fit_contact(
     noise_N: float,
     baseline: bool,
     reach_back_mm: float,
+    noise_samples: int,
     latest_mm: float = float("inf"),
 ) -> HingeFit:
     """Posterior mean and sd of the contact point on one loading ramp with what stands before it.
 
     ``baseline``: the load cell may read something in air, else it was tared; ``reach_back_mm``: how far
-    before the first sample the contact may lie; ``latest_mm``: where the force has left its reading in air
-    for good.
+    before the first sample the contact may lie; ``noise_samples``: that told the noise; ``latest_mm``: where
+    the force has left its reading in air for good.
     """
     start, end = float(depth_mm[0]), float(depth_mm.max())
     low, high = start - reach_back_mm, end
+    leaves = start + STANDING_SHARE * (end - start)
     guess, slope = _rough(depth_mm, force_N, noise_N)
     # a force that rises at the very end only must still leave the shape a window
     guess = min(max(guess, low), high - LEAST_WINDOW * (high - low), latest_mm)
@@ -192,13 +196,13 @@ def fit_contact(
         u, f = depth_mm[inside], force_N[inside]
         fit: HingeFit | None = None
         for _ in range(MAX_BINNINGS):
-            bins = bin_samples(u, f, centre_mm=guess, balance=(noise_N / slope) ** (2.0 / 3.0))
+            bins = bin_samples(u, f, centre_mm=max(guess, leaves), balance=(noise_N / slope) ** (2.0 / 3.0))
             if int((bins.depth_mm > guess).sum()) < FEWEST_BINS and (found or fit):
                 break
             shape = RampShape(
                 bins=bins,
                 noise_N=noise_N,
-                noise_freedom=max(NOISE_EFFICIENCY * depth_mm.size - NOISE_CURVATURE, LEAST_FREEDOM),
+                noise_freedom=max(NOISE_EFFICIENCY * noise_samples - NOISE_CURVATURE, LEAST_FREEDOM),
                 window_mm=window,
                 start_mm=start,
                 slope_N_per_mm=slope,
@@ -253,6 +257,7 @@ def _fit(
         (limits, lengths),
         guess,
         max(0.5 * window, 1e-300),
+        beside=shape.start_mm,
     )
     lengths_mm = np.exp(lattice.second)
     found = shape.posterior(lattice.first, lengths_mm)
@@ -263,10 +268,7 @@ def _fit(
     # the lattice ends within one row of a limit
     row = float(contact[1] - contact[0]) if contact.size > 1 else 0.0
     start = np.clip(shape.start_mm, contact[0], None) if shape.start_mm >= contact[0] - row else np.nan
-    # a kink tells more of its place than a soft start: of many samples that is no evidence for it
-    many = float(shape.bins.count.sum()) >= MANY
-    told = lattice.mass(found.log_unweighted).sum(axis=1) if many else share
-    begins = float(np.interp(start, contact, told, right=0.0)) / float(told.max()) if row else 1.0
+    begins = float(np.interp(start, contact, share, right=0.0)) / float(share.max()) if row else 1.0
     freedom = shape.freedom
     excess = float(found.misfit[lattice.inside].min()) / freedom
     adequate = excess <= 1.0 + ADEQUATE_SD * float(np.sqrt(2.0 / freedom))

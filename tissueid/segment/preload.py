@@ -3,7 +3,7 @@
 A preload that was held has relaxed, so the static curve alone carries it, while the ramp that follows is
 stiffer by what its branches add.  Branches that relax slower than the ramp runs can't be told from a static
 curve there; the hold after the ramp shows them: its force falls at first by speed x stiffness of all
-branches that the ramp has driven.
+branches, as far as the ramp has driven them, and by all that they relax in the end.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from tissueid.segment.motion import Piece, slope_of
 
 #: Largest share of the stiffness at the start that may relax: taken where no hold tells.
 LARGEST_SHARE = 0.75
-#: Times the share that a hold shows: branches slower than the ramp are not all driven by it, and those
-#: faster than the first part of the hold have relaxed before it is over.
+#: Times the share that a hold shows: branches faster than its first part have relaxed before it is over, and
+#: those slower than the mean are driven less.
 MARGIN = 2.0
 #: A hold begins where the tool moves by less than this share of its speed ...
 STANDING_SPEED = 0.02
@@ -26,6 +26,8 @@ STANDING_TRAVEL = 0.01
 #: Its first part, in times of the ramp, and the fewest samples of it.
 FIRST_PART = 0.1
 FEWEST = 8
+#: Least share of a branch that a ramp is taken to have driven.
+LEAST_DRIVEN = 0.01
 #: Standard errors by which the fall of the force may be larger.
 ERRORS = 2.0
 #: Distances that differ by less than this share are one.
@@ -63,8 +65,13 @@ def relaxing_stiffness(
     last = min(end, max(part, begin + FEWEST))
     if last - begin < FEWEST or time[last - 1] <= time[begin]:
         return None
-    rate, spread = slope_of(time[begin:last], force[begin:last])
-    return max(ERRORS * noise_N / float(np.sqrt(spread)) - rate, 0.0) * ramp_s / travel
+    slope, spread = slope_of(time[begin:last], force[begin:last])
+    rate = max(ERRORS * noise_N / float(np.sqrt(spread)) - slope, 0.0)
+    fallen = float(force[begin] - np.median(force[max(end - FEWEST, begin) : end]))
+    relaxes_s = max(fallen, 0.0) / max(rate, 1e-300)
+    # a ramp of t seconds has driven a branch by 1 - exp(-t / tau) of its stiffness
+    driven = max(-float(np.expm1(-ramp_s / relaxes_s)), LEAST_DRIVEN) if relaxes_s > 0.0 else 1.0
+    return rate * ramp_s / travel / driven
 
 
 def with_relaxed(

@@ -1,4 +1,4 @@
-"""Density of (contact, branch length) of one loading ramp, its linear coefficients estimated at each.
+"""Density of (contact, branch length) of one loading ramp, its linear coefficients integrated out.
 
 Nothing is compiled: the first look at a file must not wait for a compiler.
 """
@@ -14,22 +14,16 @@ from tissueid.arrays import FloatArray
 
 _Columns = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
-#: Largest change of force with contact, in noise sd: its square is a number.
-LARGEST = 1e75
-#: Least information.
-LEAST = 1e-12
-#: Largest exponent by which the branch's part is moved.
-FURTHEST = 600.0
-#: Powers of depth in the static curve.
+#: Powers of depth in the static curve of every ramp.
 POWERS = 3
 
 
 class _Static(NamedTuple):
-    """Orthonormal static columns (n, k, b), their part in the prior rows (n, k, k), and their moves."""
+    """Orthonormal static columns (n, k, b), their part in the prior rows (n, k, k), and log volume (n,)."""
 
     basis: FloatArray
     beside: FloatArray
-    moves: FloatArray
+    volume: FloatArray
 
     def outside(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Remainder of rows (n, m, b) beside the static columns, and what that leaves in prior rows."""
@@ -37,52 +31,34 @@ class _Static(NamedTuple):
         return rows - along @ self.basis, -along @ self.beside
 
 
-def _static(bins: _Columns, prior: FloatArray, scale: float, contact: FloatArray, window: float) -> _Static:
-    """Static columns over the noise, made orthonormal, and their change with contact."""
+def _static(bins: _Columns, prior: FloatArray, contact: FloatArray, window: float) -> _Static:
+    """Static columns over the noise, made orthonormal."""
     depth, variance, weight, _ = bins
     beyond = (depth - contact[:, None]) / window
     z = np.maximum(beyond, 0.0)
-    touching = z > 0.0
-    within = touching * (variance / window**2)
+    within = (z > 0.0) * (variance / window**2)
     columns = [z, z * z + within, z * (z * z + 3.0 * within)]
     if prior.size > POWERS:
-        columns += [beyond, np.ones_like(beyond)]
+        root = np.sqrt(z)
+        bent = np.divide(0.375 * within, root, out=np.zeros_like(z), where=z > np.sqrt(variance) / window)
+        columns += [z * root + bent, beyond, np.ones_like(beyond)]
     rows = np.stack(columns, axis=1) * (prior[:, None] * weight)
-    moves = np.stack([1.0 * touching, 2.0 * z, 3.0 * z * z], axis=1) * (weight * scale / window)
     unit = np.broadcast_to(np.eye(prior.size), (contact.size, prior.size, prior.size))
-    orthonormal, _ = np.linalg.qr(np.concatenate([rows.transpose(0, 2, 1), unit], axis=1))
+    orthonormal, triangle = np.linalg.qr(np.concatenate([rows.transpose(0, 2, 1), unit], axis=1))
     turned = orthonormal.transpose(0, 2, 1)
-    return _Static(turned[:, :, : depth.size], turned[:, :, depth.size :], moves)
-
-
-def _ahead(depth: FloatArray, from_mm: FloatArray, phase_share: float) -> FloatArray:
-    """Shift of the first bin in contact towards half a bin behind contact [mm], shape (n,)."""
-    beyond = depth > from_mm[:, None]
-    first = beyond.argmax(axis=1)
-    gap = 0.5 * np.abs(depth[first] - depth[first - 1]) - (depth[first] - from_mm)
-    return np.where(beyond.any(axis=1) & (first > 0), phase_share * gap, 0.0)
+    volume = np.log(np.abs(np.diagonal(triangle, axis1=1, axis2=2))).sum(axis=1)
+    return _Static(turned[:, :, : depth.size], turned[:, :, depth.size :], volume)
 
 
 def _branch(
-    bins: _Columns, contact: FloatArray, length: FloatArray, place: tuple[float, float, float], scale: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Rise of the branch, its change with contact and with ln l, over the noise: (n, m, b) each."""
+    bins: _Columns, from_mm: FloatArray, length: FloatArray, window: float, scale: float
+) -> FloatArray:
+    """Rise of the branch over the noise, shape (n, m, b)."""
     depth, variance, weight, _ = bins
-    window, start, phase_share = place
-    from_mm = np.maximum(contact, start)
     of = length[:, :, None]
-    ahead = _ahead(depth, from_mm, phase_share)[:, None, None] / of
     ratio = np.maximum(depth - from_mm[:, None], 0.0)[:, None, :] / of
-    touching = ratio > 0.0
-    kept = np.exp(-ratio)
-    lost = -np.expm1(-ratio)
-    share = of / window
-    left = kept * touching * np.exp(np.clip(-ahead, -FURTHEST, FURTHEST))
-    blurred = np.minimum(0.5 * variance / of**2, 1.0)
-    rise = (lost - touching * blurred * kept) * (share * (scale * weight))
-    turned = (1.0 - left - (ratio + ahead * touching) * left) * touching * (share * weight)
-    moves = (contact >= start)[:, None, None]
-    return rise, left * (weight * moves), turned
+    blurred = (ratio > 0.0) * np.minimum(0.5 * variance / of**2, 1.0)
+    return np.asarray((-np.expm1(-ratio) - blurred * np.exp(-ratio)) * (of / window * (scale * weight)))
 
 
 def _products(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]) -> FloatArray:
@@ -91,42 +67,46 @@ def _products(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, Float
     return np.asarray(np.einsum("nmb,nmb->nm", *np.broadcast_arrays(one[0], other[0])) + beside)
 
 
+class _Squares(NamedTuple):
+    """Least squares of the shape at every (contact, length)."""
+
+    coefficients: FloatArray  # (n, m, k), in their prior sd
+    branch: FloatArray  # (n, m), in its prior sd
+    misfit: FloatArray  # (n, m), chi-square
+    volume: FloatArray  # (n, m), log of prior over posterior volume of all of them
+    slope: FloatArray  # (n, m), variance of the initial slope, in prior variances
+
+
 def ramp_squares(
     bins: _Columns,
     prior: FloatArray,
     scale: float,
-    place: tuple[float, float, float],
+    place: tuple[float, float],
     contact: FloatArray,
     length: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Least squares of the shape at every (contact, length).
+) -> _Squares:
+    """Integrate the linear coefficients out of the shape at every (contact, length).
 
     ``bins`` (b,): depth [mm], its variance [mm^2], one over the noise of the mean force [1/N], the force over
-    it; ``prior`` (k,), ``scale``: prior sd of the static columns and of the branch [N]; ``place``: window,
-    first displacement [mm], phase share; ``contact`` (n,), ``length`` (n, m).  Returns coefficients (n, m, k)
-    and branch (n, m) in their prior sd, chi-square (n, m), and (3, n, m): information about contact and about
-    ln length, variance of the initial slope.
+    it; ``prior`` (k,), ``scale``: prior sd of the static columns and of the branch [N]; ``place``: window and
+    first displacement [mm]; ``contact`` (n,), ``length`` (n, m).
     """
-    static = _static(bins, prior, scale, contact, place[0])
-    rise, moved, turned = _branch(bins, contact, length, place, scale)
+    window, start = place
+    static = _static(bins, prior, contact, window)
+    rise = _branch(bins, np.maximum(contact, start), length, window, scale)
     force = static.outside(np.broadcast_to(bins[3], (contact.size, 1, bins[3].size)))
     rose = static.outside(rise)
     own = 1.0 + _products(rose, rose)
     unexplained = _products(rose, force)
     branch = unexplained / own
-    coefficients = rose[1] * branch[:, :, None] - force[1]
-    misfit = np.maximum(_products(force, force) - unexplained * branch, 0.0)
-    moved *= (branch * (scale / place[0]))[:, :, None]
-    moved += coefficients[:, :, :POWERS] @ static.moves
-    turned *= (branch * scale)[:, :, None]
-    judged = np.empty((3, *length.shape))
-    for row, changed in enumerate((moved, turned)):
-        left = static.outside(np.clip(changed, -LARGEST, LARGEST))
-        shared = _products(left, rose)
-        judged[row] = np.maximum(_products(left, left) - shared * shared / own, LEAST)
-    slope = (static.beside[:, :, 0] ** 2).sum(axis=1)
-    judged[2] = (1.0 + rose[1][:, :, 0]) ** 2 / own + slope[:, None]
-    return coefficients, branch, misfit, judged
+    slope = (static.beside[:, :, 0] ** 2).sum(axis=1)[:, None] + (1.0 + rose[1][:, :, 0]) ** 2 / own
+    return _Squares(
+        coefficients=rose[1] * branch[:, :, None] - force[1],
+        branch=branch,
+        misfit=np.maximum(_products(force, force) - unexplained * branch, 0.0),
+        volume=static.volume[:, None] + 0.5 * np.log(own),
+        slope=slope,
+    )
 
 
 #: Bins of equal width next to the centre, on each side, and the growth of those further out.
@@ -172,30 +152,27 @@ def bin_samples(depth_mm: FloatArray, force_N: FloatArray, *, centre_mm: float, 
 
 
 # The force at displacement u of a tool that meets relaxed tissue at c and moves on at constant speed is
-#     F = b + d (u - c) + p1 z + p2 z^2 + p3 z^3 + A (1 - exp(-w/l)),
+#     F = b + d (u - c) + p1 z + p2 z^2 + p3 z^3 + h z^1.5 + A (1 - exp(-w/l)),
 #     z = max(0, u - c),  w = max(0, u - max(c, u0)):
-# a load cell that drifts a little, a cubic static curve and one branch of length l = speed x relaxation time;
-# u0 is where the record starts.  b, d, p and A take their least-squares values at every (c, l), and
-#     density = likelihood x sqrt(I_c) x I_l^(1/4) x P(p1 + A/l >= -s) / (1 + (l / 3 L)^2).
-# I_c and I_l are the Fisher information of c and of ln l with the linear coefficients projected out:
-# Jeffreys' rule (1946) for c makes the interval one that covers as often as it says; half that weight for ln
-# l keeps lengths that data can't tell from none out of the way.  A has either sign, so that a branch too
+# a load cell that drifts a little, a cubic static curve, which begins like that of a ball where the record
+# shows air (b, d and h are 0 where it shows none), and one branch of length l = speed x relaxation time; u0
+# is where the record starts.  All but c and l are integrated out, with normal priors of SHAPE_PRIOR force
+# ranges (b, d: below), at every (c, l):
+#     density = marginal likelihood x P(p1 + A/l >= -s) / (1 + (l / 3 L)^2).
+# Their volume is what keeps a shape that may bend from beginning early, in the noise of the air.  (A weight
+# by the information about c, Jeffreys' rule, leans to kinks, which noise has: of simulated ramps of 6 to 50
+# noise sd it put one in fifteen beyond 3 of its sd, by up to 20.)  A has either sign, so that a branch too
 # small to be seen does not push the contact to one side.  The initial slope may be negative by no more than
 # the slope s of the ramp.  Lengths far above the resolution L, where a branch can't be told from the static
 # curve, count less.
 #: Prior standard deviation of the shape's coefficients, in force ranges of the window.
-SHAPE_PRIOR = 10.0
-#: ... of the force in air about the first one: in effect none ...
+SHAPE_PRIOR = 3.0
+#: ... and of the force in air about the first one: in effect none ...
 BASELINE_PRIOR = 100.0
 #: ... and of what a load cell drifts over the window.
 DRIFT_PRIOR = 0.003
-#: Exponent of the square root of the information about the logarithm of the length; that about contact has 1.
-LENGTH_WEIGHT = 0.5
 #: Lengths above so many resolutions of the contact count less.
 RESOLVED = 3.0
-#: Share of the way by which the first bin in contact is moved to the middle of its gap where information is
-#: weighed: 0 leans to contacts just before a sample, 1 to those before the gap.
-PHASE_SHARE = 0.15
 #: Part of the window over which the stiffness at contact is quoted.
 EARLY_SHARE = 0.02
 #: Part of the window over which the slope is taken that says what noise can resolve.
@@ -207,10 +184,9 @@ class Posterior:
     """Log density at nodes, and the least-squares shape at each."""
 
     log_density: FloatArray  # (n, m)
-    log_unweighted: FloatArray  # (n, m), the same without Jeffreys' weight of the contact
     misfit: FloatArray  # (n, m), chi-square at each node
-    #: (n, m, k): p1 W, p2 W^2, p3 W^3 [N], and, where the force in air is free, its drift over W and its
-    #: value at contact [N]; W the window.
+    #: (n, m, k): p1 W, p2 W^2, p3 W^3 [N], and, where the force in air is free, h W^1.5, its drift over W and
+    #: its value at contact [N]; W the window.
     static_N: FloatArray
     branch_N: FloatArray  # (n, m), a W/l [N]
 
@@ -244,28 +220,26 @@ class RampShape:
         weight = np.sqrt(bins.count) / self.noise_N
         span = max(float(np.ptp(bins.force_N)), self.noise_N)
         scale = SHAPE_PRIOR * span
-        prior = np.array([scale] * 3 + [DRIFT_PRIOR * span, BASELINE_PRIOR * span] * self.baseline)
+        air = [scale, DRIFT_PRIOR * span, BASELINE_PRIOR * span]
+        prior = np.array([scale] * POWERS + air * self.baseline)
         zero_N = float(bins.force_N[0]) if self.baseline else 0.0
-        coefficients, branch, misfit, judged = ramp_squares(
+        squares = ramp_squares(
             (bins.depth_mm, bins.variance_mm2, weight, (bins.force_N - zero_N) * weight),
             prior,
             scale,
-            (window, self.start_mm, PHASE_SHARE),
+            (window, self.start_mm),
             np.ascontiguousarray(contact_mm),
             np.ascontiguousarray(length_mm),
         )
-        freedom = self.freedom
         known = self.noise_freedom
-        log_density = -0.5 * (known + freedom) * np.log1p(misfit / known)
-        jeffreys = 0.5 * np.log(judged[0])
-        log_density += 0.5 * LENGTH_WEIGHT * np.log(judged[1])
-        first = scale * (coefficients[:, :, 0] + branch) + self.slope_N_per_mm * window
-        log_density += _log_normal_mass(first / (scale * np.sqrt(judged[2])))
+        log_density = -0.5 * (known + self.freedom) * np.log1p(squares.misfit / known) - squares.volume
+        first = scale * (squares.coefficients[:, :, 0] + squares.branch) + self.slope_N_per_mm * window
+        log_density += _log_normal_mass(first / (scale * np.sqrt(squares.slope)))
         log_density -= np.log1p((length_mm / (RESOLVED * self.resolution_mm)) ** 2)
-        static_N = coefficients * prior
+        static_N = squares.coefficients * prior
         if self.baseline:
             static_N[:, :, -1] += zero_N
-        return Posterior(log_density + jeffreys, log_density, misfit, static_N, branch * scale)
+        return Posterior(log_density, squares.misfit, static_N, squares.branch * scale)
 
     def slopes(
         self, found: Posterior, mass: FloatArray, contact_mm: FloatArray, length_mm: FloatArray
