@@ -11,7 +11,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.digits import clock_start
 from tissueid.flags import Flag
-from tissueid.segment.contact import find_contact
+from tissueid.segment.contact import UNCERTAIN_SHARE, find_contact
 from tissueid.segment.endings import (
     aborts,
     cycle_flags,
@@ -99,6 +99,8 @@ FEWEST_DEPTHS = 3
 #: Contact is lost where force falls to so many noise sd, or this share of its range, above that in air.
 LOST_SD = 4.0
 LOST_SHARE = 0.01
+#: Contacts before and after loops are one within so many sd.
+SAME_PLACE_SD = 3.0
 #: Loss of this share of the force is a break: nothing is left to relax.
 BROKEN_SHARE = 0.9
 #: A ramp after cycles is the test where it goes this much deeper than they did, or is held.
@@ -185,8 +187,8 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
         start = phases[test].start
         again, again_flags = locate(moves, start)
         if again is not None:
-            contact, contact_flags = again, again_flags
-            phases = name_phases(path, found, surface, again=contact)
+            phases = name_phases(path, found, surface, again=again)
+            contact, contact_flags = _set_or_slow(contact, again, path, again_flags)
     divided = Segmentation(compression, force_sign, contact, phases, noise, test=test)
     events, remarks = _remarks(trial.protocol, divided, path, found, options)
     phases = _without_broken(phases, events)
@@ -326,6 +328,22 @@ def _lets_go(path: Path, cycles: tuple[Phase, ...], baseline_N: float) -> bool:
     # a low percentile and not the least: single samples may be anything
     least = float(between[min(FEWEST_SAMPLES, between.size - 1)])
     return least - baseline_N <= max(LOST_SD * path.noise_N, LOST_SHARE * float(np.ptp(path.force_N)))
+
+
+def _set_or_slow(first: Contact, again: Contact, path: Path, flags: list[Flag]) -> tuple[Contact, list[Flag]]:
+    """Contact after loops, as uncertain as the tissue's surface: it has set there, or comes back later."""
+    apart = abs(again.displacement_mm - first.displacement_mm)
+    if apart <= SAME_PLACE_SD * float(np.hypot(first.sd_mm, again.sd_mm)):
+        return again, flags
+    met = replace(again, sd_mm=float(np.hypot(again.sd_mm, apart / np.sqrt(3.0))))
+    if apart <= UNCERTAIN_SHARE * float(np.ptp(path.depth_mm)):
+        return met, flags
+    message = (
+        f"after its loops the tool meets the tissue {apart:.3g} mm from where it first did: "
+        "the tissue has set, or is still coming back"
+    )
+    said = Flag("contact_uncertain", message, {"sd_mm": met.sd_mm, "apart_mm": apart})
+    return met, [*(flag for flag in flags if flag.code != said.code), said]
 
 
 def _remarks(
