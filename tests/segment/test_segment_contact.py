@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from told import codes, flag_of
+from told import codes, flag_of, kinds
 
 from tissueid.segment import SegmentOptions, segment
 from tissueid.segment.hinge import fit_contact
@@ -132,6 +132,77 @@ def test_a_load_cell_that_drifts_in_air_does_not_move_the_contact():
     drifting = replace(trial, force_N=trial.force_N + 0.5 * trial.time_s)
     contact = segment(drifting).contact
     assert contact.displacement_mm == pytest.approx(1.0, abs=3.0 * contact.sd_mm)
+
+
+SOFT = {"static": (0.3, 0.05, 0.02), "branches": (Branch((0.5,), 3.0),), "contact_offset_mm": 1.3}
+
+
+def soft_tissue(*moves: Move | Hold, seed: int = 0, sigma_N: float = 0.027, **changes) -> Trial:
+    """Contact at 1.3 mm, 9 N at 7 mm, noise 0.3 % of it, 50 samples/s; speeds in mm/min."""
+    settings = Recipe("s", (Log("s", moves),), **{"rate_Hz": 50.0, "sigma_N": sigma_N, **SOFT, **changes})
+    return as_trials(simulate(settings, rng=np.random.default_rng(seed)))[0]
+
+
+def test_a_light_touch_that_is_held_places_the_contact_and_is_a_hold():
+    pushes = (Hold(1.0), Move(1.6, 30.0), Hold(60.0), Move(7.0, 180.0), Hold(60.0))
+    found = [segment(soft_tissue(*pushes, seed=seed, sigma_N=0.01)) for seed in range(12)]
+    assert all(one.contact.in_record for one in found)
+    assert all(kinds(one) == ["approach", "approach", "ramp", "hold", "ramp", "hold"] for one in found)
+    errors = np.array([(one.contact.displacement_mm - 1.3) / one.contact.sd_mm for one in found])
+    assert (np.abs(errors) > 2.0).sum() <= 2
+
+
+@pytest.mark.parametrize("preload_mm", [1.6, 1.9])
+def test_a_record_that_begins_in_the_rest_after_a_preload_has_its_contact_behind_it(preload_mm):
+    errors = []
+    for seed in range(12):
+        trial = soft_tissue(
+            Move(preload_mm, 30.0), Hold(60.0), Move(7.0, 180.0), Hold(60.0), seed=seed, sigma_N=0.01
+        )
+        rest = trial.time_s > 55.0
+        cut = Trial("cut", *(values[rest] for values in (trial.time_s, trial.displacement_mm, trial.force_N)))
+        contact = segment(cut).contact
+        errors.append((contact.displacement_mm - 1.3) / contact.sd_mm)
+    assert (np.abs(errors) > 2.0).sum() <= 2
+
+
+@pytest.mark.parametrize("drift_N_per_s", [0.02, -0.02])
+def test_a_drift_at_rest_hides_no_contact(drift_N_per_s):
+    trial = soft_tissue(Hold(10.0), Move(7.0, 180.0), Hold(60.0))
+    found = segment(replace(trial, force_N=trial.force_N + drift_N_per_s * trial.time_s))
+    assert found.contact.in_record
+    assert abs(found.contact.displacement_mm - 1.3) <= 3.0 * found.contact.sd_mm <= 0.5
+    assert found.contact.baseline_N == pytest.approx(drift_N_per_s * 10.4, abs=0.02)
+
+
+@pytest.mark.parametrize("power", [1.0, 1.5])
+@pytest.mark.parametrize("peak_sd", [12.0, 20.0, 40.0])
+def test_no_kink_of_the_noise_is_a_contact(peak_sd, power):
+    rng = np.random.default_rng(int(10 * peak_sd + power))
+    errors = []
+    for _ in range(60):
+        # 50 samples at rest, 60 in air, 20 in tissue
+        travel = np.concatenate([np.zeros(50), np.arange(1, 81) / 80.0])
+        force = peak_sd * np.maximum((travel - 0.75) / 0.25, 0.0) ** power + rng.normal(size=travel.size)
+        contact = segment(Trial("noisy", np.arange(travel.size) * 0.02, travel, force)).contact
+        errors.append((contact.displacement_mm - 0.75) / contact.sd_mm)
+    # 60 intervals of 95 %, and what a start without a slope hides in noise
+    assert (np.abs(errors) > 2.0).sum() <= (8 if power == 1.0 else 16)
+    assert np.sqrt(np.mean(np.square(errors))) < 1.8
+
+
+@pytest.mark.parametrize("moved_mm", [0.0, 0.5])
+def test_a_contact_after_loops_that_let_go_knows_of_the_first_one(moved_mm):
+    time = np.arange(0.0, 60.0, 0.02)
+    turns = ([0, 1, 3, 5, 7, 9, 11, 13, 15, 18, 60], [0, 0, 4, 0, 4, 0, 4, 0, 0, 6, 6])
+    travel = np.interp(time, *turns)
+    surface = 1.0 + moved_mm * (time > 5.0)
+    force = np.maximum(travel - surface, 0.0) + 0.005 * np.random.default_rng(3).normal(size=time.size)
+    found = segment(Trial("loops", time, travel, force))
+    assert kinds(found)[-4:] == ["rest", "approach", "ramp", "hold"]
+    assert found.contact.displacement_mm == pytest.approx(1.0 + moved_mm, abs=0.03)
+    told = "contact_uncertain" in codes(found)
+    assert told is (found.contact.sd_mm > 0.2) is (moved_mm > 0.0)
 
 
 @pytest.mark.parametrize("scale", [(1.0, 1.0, 1.0), (1e-3, 1e-4, 1e-6), (1e2, 1e3, 1e4)])

@@ -88,9 +88,9 @@ def _drift_at_rest(depth_mm: FloatArray, force_N: FloatArray, start: int, noise_
     Relaxing tissue lets go of a tool that stands and cannot pull at it: only a force that grows, or falls
     below nothing, is the cell's.
     """
-    before = depth_mm[: start + 1]
-    elsewhere = np.flatnonzero(np.abs(before - before[-1]) > STANDING_SHARE * float(np.ptp(depth_mm)))
-    force = force_N[int(elsewhere[-1]) + 1 if elsewhere.size else 0 : start + 1]
+    before = depth_mm[:start]
+    elsewhere = np.abs(before - before[-1:]) > STANDING_SHARE * float(np.ptp(depth_mm))
+    force = force_N[int(np.flatnonzero(elsewhere).max(initial=-1)) + 1 : start]
     if force.size < FEWEST_DRIFTING:
         return 0.0
     slope, error = _rise(force, noise_N)
@@ -126,7 +126,7 @@ START_DENSITY = 0.011
 #: ... or below this one (3.3 sd), where it may be a preload ...
 DOUBTFUL_START_DENSITY = 0.0045
 #: ... and, where samples in air are few, where contact lies this many of its sd behind the start.
-FEW_AIR_SD = 5.5
+FEW_AIR_SD = 6.5
 #: Share of the depth over which the secant of a curved tip is taken.
 EARLY_SHARE = 0.2
 #: A preload is believed where that density, with a load cell that was tared, is below this share.

@@ -28,6 +28,8 @@ OVERSHOOT_SHARE = 0.1
 #: much of their travel.
 SWING_SHARE = 0.3
 LONGEST_SWING_S = 0.3
+#: After swings, a move this slow against the ramp, and no longer than an overshoot, is the servo's creep.
+CREEPING_SHARE = 0.01
 #: A loop returns at least this share of its way in.
 LOOP_RETURN = 0.5
 #: Loops from which a recording is cyclic.
@@ -126,13 +128,22 @@ def _without_ringing(path: Path, found: list[Piece]) -> list[Piece]:
                 and _rings(path, found[stop + 1], ramp)
             ):
                 stop += 1
-            if stop > k and stop + 1 < len(found) and found[stop + 1].direction == 0:
+            if stop > k and stop + 1 < len(found) and _settles(path, found[stop + 1], ramp):
                 ramp = replace(ramp, stop=found[stop].stop)
+                found = [*found[: stop + 1], replace(found[stop + 1], direction=0), *found[stop + 2 :]]
             else:
                 stop = k
         result.append(ramp)
         k = stop + 1
     return result
+
+
+def _settles(path: Path, after: Piece, ramp: Piece) -> bool:
+    """True where a ramp's swings end in a standstill, or in what a servo creeps on."""
+    slow = abs(after.speed(path)) <= CREEPING_SHARE * abs(ramp.speed(path))
+    return after.direction == 0 or (
+        slow and abs(after.travel_mm(path)) <= OVERSHOOT_SHARE * abs(ramp.travel_mm(path))
+    )
 
 
 def _rings(path: Path, swing: Piece, ramp: Piece) -> bool:

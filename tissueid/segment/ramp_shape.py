@@ -156,8 +156,8 @@ def bin_samples(depth_mm: FloatArray, force_N: FloatArray, *, centre_mm: float, 
 #     z = max(0, u - c),  w = max(0, u - max(c, u0)):
 # a load cell that drifts a little, a cubic static curve, which begins like that of a ball where the record
 # shows air (b, d and h are 0 where it shows none), and one branch of length l = speed x relaxation time; u0
-# is where the record starts.  All but c and l are integrated out, with normal priors of SHAPE_PRIOR force
-# ranges (b, d: below), at every (c, l):
+# is where the record starts.  All but c and l are integrated out, with the normal priors below, at every
+# (c, l):
 #     density = marginal likelihood x P(p1 + A/l >= -s) / (1 + (l / 3 L)^2).
 # Their volume is what keeps a shape that may bend from beginning early, in the noise of the air.  (A weight
 # by the information about c, Jeffreys' rule, leans to kinks, which noise has: of simulated ramps of 6 to 50
@@ -165,8 +165,10 @@ def bin_samples(depth_mm: FloatArray, force_N: FloatArray, *, centre_mm: float, 
 # small to be seen does not push the contact to one side.  The initial slope may be negative by no more than
 # the slope s of the ramp.  Lengths far above the resolution L, where a branch can't be told from the static
 # curve, count less.
-#: Prior standard deviation of the shape's coefficients, in force ranges of the window.
-SHAPE_PRIOR = 3.0
+#: Prior standard deviation of what the shape's parts reach at the end of the window, in force ranges of it:
+#: those that begin with a slope, of which kinks are made, and those that bend, which may cancel out in air.
+SLOPE_PRIOR = 7.0
+BEND_PRIOR = 1.0
 #: ... and of the force in air about the first one: in effect none ...
 BASELINE_PRIOR = 100.0
 #: ... and of what a load cell drifts over the window.
@@ -219,9 +221,9 @@ class RampShape:
         bins, window = self.bins, self.window_mm
         weight = np.sqrt(bins.count) / self.noise_N
         span = max(float(np.ptp(bins.force_N)), self.noise_N)
-        scale = SHAPE_PRIOR * span
-        air = [scale, DRIFT_PRIOR * span, BASELINE_PRIOR * span]
-        prior = np.array([scale] * POWERS + air * self.baseline)
+        scale, bend = SLOPE_PRIOR * span, BEND_PRIOR * span
+        air = [bend, DRIFT_PRIOR * span, BASELINE_PRIOR * span]
+        prior = np.array([scale, bend, bend] + air * self.baseline)
         zero_N = float(bins.force_N[0]) if self.baseline else 0.0
         squares = ramp_squares(
             (bins.depth_mm, bins.variance_mm2, weight, (bins.force_N - zero_N) * weight),
