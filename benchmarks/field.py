@@ -18,14 +18,18 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from field_simulator import Drainage, Log, Machine, Tissue, recorded
-from kept_records import asked_for, by_case, kept
+from harness import asked_for, by_case, kept
+
+import tissueid as ti
+from tissueid.result import Identification
+from tissueid.trial import Source
 
 PROGRAM = (
     Log(4.0, 1.0),
@@ -219,27 +223,24 @@ displacement_class = 0.5
 """
 
 
-def _identified(
-    specimen: Specimen, rng: np.random.Generator, seed: int, *, stated: bool = False
-) -> dict[str, Any]:
-    """Document of a specimen, fitted as by default."""
-    import tissueid
-    from tissueid.inference.specimen import FitOptions
-    from tissueid.pipeline import IdentifyOptions, PosteriorOptions, identify
-    from tissueid.trial import Source, Trial
-
-    trials = [
-        Trial("field", *recorded(specimen.tissue, log, specimen.machine, rng), source=Source(path=f"{k}.csv"))
-        for k, log in enumerate(specimen.logs)
-    ]
-    options = IdentifyOptions(fit=FitOptions(), posterior=PosteriorOptions(seed=seed), seed=seed)
-    study, told = None, STATED if stated else specimen.tip
+def identified(trials: Sequence[ti.Trial], told: str, seed: int, model: str | None = None) -> Identification:
+    """Identify recordings with a posterior, beside a study file of the text that is told."""
+    options = ti.IdentifyOptions(
+        fit=ti.FitOptions(model=model), posterior=ti.PosteriorOptions(seed=seed), seed=seed
+    )
+    study = None
     if told:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "study.toml"
             path.write_text(told, encoding="utf-8")
-            study = tissueid.read_study(path)
-    return identify(trials, study=study, options=options).as_json()["specimens"][0]
+            study = ti.read_study(path)
+    return ti.identify(trials, study=study, options=options)
+
+
+def compared(one: dict[str, Any], truth: float) -> dict[str, Any]:
+    """A truth beside its total interval: in units of the interval's own deviation, and if it is inside."""
+    low, high = one["ci95_total"]
+    return {"z": (one["value"] - truth) / max((high - low) / 3.92, 1e-300), "in": low <= truth <= high}
 
 
 def _truths(tissue: Tissue, depth_mm: float) -> dict[str, float]:
@@ -283,11 +284,11 @@ def _judged(specimen: Specimen, document: dict[str, Any]) -> dict[str, Any]:
         truth, value, total = truths.get(one["name"]), one["value"], one["ci95_total"]
         if truth is None or value is None or total is None or found != specimen.order:
             continue
-        sd = max((total[1] - total[0]) / 3.92, 1e-300)
+        beside = compared(one, truth)
         rows[one["name"]] = {
-            "z": (value - truth) / sd,
+            "z": beside["z"],
             "in": one["ci95"][0] <= truth <= one["ci95"][1],
-            "in_total": total[0] <= truth <= total[1],
+            "in_total": beside["in"],
             "error": (value - truth) / truth if truth else None,
         }
     shares = [
@@ -321,7 +322,12 @@ def _recorded(name: str, number: int) -> dict[str, Any]:
     """Record of one specimen, drawn with a seed of its own: the same in whatever order they are drawn."""
     rng = np.random.default_rng([20261125, number, *name.encode()])
     specimen, started = MAKERS[name](rng), time.process_time()
-    document = _identified(specimen, rng, number, stated=name in CALIBRATION and name != UNSTATED)
+    trials = [
+        ti.Trial("field", *recorded(specimen.tissue, log, specimen.machine, rng), source=Source(f"{k}.csv"))
+        for k, log in enumerate(specimen.logs)
+    ]
+    told = STATED if name in CALIBRATION and name != UNSTATED else specimen.tip
+    document = identified(trials, told, number).as_json()["specimens"][0]
     return {**_judged(specimen, document), "cpu_s": time.process_time() - started}
 
 

@@ -36,6 +36,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from harness import command_line
 from threadpoolctl import threadpool_limits
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -51,10 +52,9 @@ def default_data() -> Path:
 
 def options() -> argparse.Namespace:
     """Options of the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("--part", choices=(*PARTS, "all"), default="all")
     parser.add_argument("--data", type=Path, default=default_data(), help="folder of the recordings")
-    parser.add_argument("--json", action="store_true", help="print one JSON document")
     parser.add_argument("--only", default="*", help="pattern of the recordings' names")
     parser.add_argument("--sheets", type=int, help="most recordings of a file")
     parser.add_argument("--cuts", type=int, help="most cuts that are pooled")
