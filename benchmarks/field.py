@@ -86,6 +86,7 @@ def _case(
     logs: tuple[Log, ...] = PROGRAM,
     machine: Callable[[np.random.Generator], Machine] = lambda _: PLAIN,
     each: Callable[[int, Log], Log] = lambda _, log: log,
+    tip: str = "",
     **changes: Any,
 ) -> Maker:
     """Maker of specimens of one kind."""
@@ -94,7 +95,7 @@ def _case(
     def make(rng: np.random.Generator) -> Specimen:
         tissue = replace(_tissue(rng, rows=rows, tau=tau), **changes)
         own = tuple(each(i, log) for i, log in enumerate(_sites(rng, logs)))
-        return Specimen(tissue, own, machine(rng), None if changes else order)
+        return Specimen(tissue, own, machine(rng), None if changes else order, tip)
 
     return make
 
@@ -110,8 +111,9 @@ def _unstated(rng: np.random.Generator) -> Machine:
     )
 
 
-def _drifting(i: int, log: Log) -> Log:
-    return replace(log, gain=log.gain * (1.0 + 0.03 * (i - (len(PROGRAM) - 1) / 2.0)))
+def _gained(factor: Callable[[int], float]) -> Callable[[int, Log], Log]:
+    """Change of the gain of each log by its number."""
+    return lambda i, log: replace(log, gain=log.gain * factor(i))
 
 
 UNSTATED = "unstated machine"
@@ -130,7 +132,7 @@ CALIBRATION: dict[str, Maker] = {
         rows=((60.0,),), tau=(5.0,), logs=tuple(replace(one, hold_s=1.5) for one in PROGRAM)
     ),
     "two branches": _case(rows=((60.0,), (20.0,)), tau=(0.1, 1.5), logs=(*PROGRAM, *HOLDS[:2])),
-    "drift of 3 % a log": _case(each=_drifting),
+    "drift of 3 % a log": _case(each=_gained(lambda i: 1.0 + 0.03 * (i - (len(PROGRAM) - 1) / 2.0))),
 }
 FORMS: dict[str, Maker] = {
     "quasi-linear": _case(inside=True, tau=(1.0,), rows=((30.0,),), logs=(*PROGRAM[:3], *HOLDS[:3])),
@@ -149,14 +151,6 @@ def _stick_slip(depth: np.ndarray, force: np.ndarray) -> np.ndarray:
     return force * (1.0 + 0.08 * (phase - 0.5))
 
 
-def _first(i: int, log: Log) -> Log:
-    return replace(log, gain=log.gain * (1.2 if i == 0 else 1.0))
-
-
-def _damaged(i: int, log: Log) -> Log:
-    return replace(log, gain=log.gain * 0.95**i)
-
-
 def _tilted(depth: np.ndarray) -> np.ndarray:
     """Mean depth of a flat punch of 5 mm radius that stands 8 degrees askew."""
     across = 5.0 * np.sin(np.radians(8.0)) * np.linspace(-1.0, 1.0, 41)
@@ -170,11 +164,6 @@ def _drained(rng: np.random.Generator) -> Specimen:
     size, spread = rng.lognormal(0.0, 0.15), rng.lognormal(0.0, 0.3)
     tissue = Tissue(drains=Drainage(8.0 * size, 0.5, 60.0 * spread, 20.0))
     return Specimen(tissue, _sites(rng, DEPTHS), PLAIN, tip=SPHERE)
-
-
-def _viscous(rng: np.random.Generator) -> Specimen:
-    """The same program on a viscous tissue."""
-    return replace(_case(logs=DEPTHS)(rng), tip=SPHERE)
 
 
 def _all_bent(bent: Any) -> Callable[[int, Log], Log]:
@@ -192,17 +181,20 @@ FLAT = SPHERE.replace("sphere", "flat").replace("20.0", "5.0")
 #: Makers with the flags of which one is due.
 MECHANISMS: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "none": (_case(logs=HOLDS), ()),
-    "first push 20 % stiffer": (_case(logs=HOLDS, each=_first), ("order_effect",)),
-    "damage of 5 % a push": (_case(logs=HOLDS, each=_damaged), ("order_effect",)),
+    "first push 20 % stiffer": (
+        _case(logs=HOLDS, each=_gained(lambda i: 1.2 if i == 0 else 1.0)),
+        ("order_effect",),
+    ),
+    "damage of 5 % a push": (_case(logs=HOLDS, each=_gained(lambda i: 0.95**i)), ("order_effect",)),
     "rigid base": (_case(each=_all_bent(_base)), ("discrepancy", "misfit")),
     "drainage at four depths": (_drained, ("poroelastic",)),
-    "viscous at four depths": (_viscous, ()),
+    "viscous at four depths": (_case(logs=DEPTHS, tip=SPHERE), ()),
     "pull-off": (
         _case(logs=tuple(replace(one, returns=True) for one in HOLDS), adhesion_N=8.0),
         ("adhesion", "contact_loss_misfit"),
     ),
     "tilt of 8 degrees": (
-        lambda rng: replace(_case(each=lambda _, log: replace(log, met=_tilted))(rng), tip=FLAT),
+        _case(each=lambda _, log: replace(log, met=_tilted), tip=FLAT),
         ("discrepancy", "misfit"),
     ),
     "stick-slip": (_case(logs=HOLDS, each=_all_bent(_stick_slip)), ("discrepancy", "misfit", "slip")),

@@ -29,13 +29,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 from harness import command_line
 from threadpoolctl import threadpool_limits
 
@@ -83,17 +83,6 @@ def measured(asked: argparse.Namespace) -> dict[str, Any]:
         "speed": lambda: speed(asked.data, ROOT, sheets=asked.sheets),
     }
     return {part: made[part]() for part in parts}
-
-
-def finite(value: Any) -> Any:
-    """The same with ``null`` for numbers that JSON does not know."""
-    if isinstance(value, Mapping):
-        return {str(key): finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(one) for one in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def percent(value: float | None) -> str:
@@ -229,7 +218,9 @@ def main() -> int:
     with threadpool_limits(limits=1, user_api="blas"):
         result = measured(asked)
     if asked.json:
-        print(json.dumps(finite(result), indent=2))
+        # numbers that JSON does not know are ``null``
+        text = msgspec.json.encode(result, enc_hook=lambda value: value.tolist())
+        print(msgspec.json.format(text, indent=2).decode())
         return 0
     for part, value in result.items():
         print("\n".join(LINES[part](value)), end="\n\n")
