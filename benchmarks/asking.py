@@ -25,7 +25,7 @@ from typing import Any
 
 import h5py
 from cohort import SHORT, write_cohort
-from processes import peak_MB
+from harness import command_line, peak_MB
 
 #: Name of the specimen that is fitted; others have names as long, so that its file can carry them.
 ONE = "head-00000"
@@ -122,7 +122,7 @@ def child(data: Path, out: Path, template: Path, sampler: str) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = command_line(__doc__, json_words=None)
     parser.add_argument("--sizes", type=int, nargs="+", default=[500, 2000, 10_000])
     parser.add_argument("--sampler", choices=["emcee", "none"], default="emcee")
     parser.add_argument("--child", nargs=3, help=argparse.SUPPRESS)

@@ -23,7 +23,6 @@ Load of the machine is told with every figure: trust ratios of one run.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import resource
@@ -40,7 +39,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from processes import FINISHED, peak_MB, run
+from harness import FINISHED, command_line, peak_MB, run
 
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.population.coordinates import Coordinates
@@ -340,7 +339,7 @@ def overhead_part(tasks: int, repeats: int) -> dict[str, object]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument(
         "--part", choices=["workers", "memory", "paper", "dask", "overhead"], default="workers"
     )
@@ -353,7 +352,6 @@ def main() -> None:
     )
     parser.add_argument("--compared", type=int, default=50, help="specimens that are also fitted locally")
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     if options.part == "overhead":
         print(json.dumps(overhead_part(options.specimens, options.repeats)))

@@ -12,7 +12,6 @@ The breakdown is one further fit in a process of its own, its stages told by the
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
 import statistics
@@ -20,7 +19,7 @@ import tempfile
 from itertools import pairwise
 from pathlib import Path
 
-from processes import run
+from harness import command_line, run
 
 RECIPE = "paper-a-30-k1"
 BAR = 3.0
@@ -97,9 +96,8 @@ def breakdown(data: Path, out: Path) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("--pairs", type=int, default=3)
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         data, out = Path(folder) / "logs", Path(folder) / "out"

@@ -7,7 +7,6 @@ A value is held where it lies in the total interval that is printed for it.
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
@@ -16,6 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from harness import command_line
 
 from tissueid import IdentifyOptions, PosteriorOptions, identify, read_trials
 from tissueid.rendering.options import PRESETS, as_tissue
@@ -66,10 +66,9 @@ def _row(tissue: Tissue, log: Path) -> dict[str, Any]:
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("--sessions", type=int, default=60)
     parser.add_argument("--seed", type=int, default=20261125)
-    parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
     rng, rows = np.random.default_rng(asked.seed), []
     with TemporaryDirectory() as made:

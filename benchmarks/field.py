@@ -18,14 +18,18 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from field_simulator import Drainage, Log, Machine, Tissue, recorded
-from kept_records import asked_for, by_case, kept
+from harness import asked_for, by_case, kept
+
+import tissueid as ti
+from tissueid.result import Identification
+from tissueid.trial import Source
 
 PROGRAM = (
     Log(4.0, 1.0),
@@ -82,6 +86,7 @@ def _case(
     logs: tuple[Log, ...] = PROGRAM,
     machine: Callable[[np.random.Generator], Machine] = lambda _: PLAIN,
     each: Callable[[int, Log], Log] = lambda _, log: log,
+    tip: str = "",
     **changes: Any,
 ) -> Maker:
     """Maker of specimens of one kind."""
@@ -90,7 +95,7 @@ def _case(
     def make(rng: np.random.Generator) -> Specimen:
         tissue = replace(_tissue(rng, rows=rows, tau=tau), **changes)
         own = tuple(each(i, log) for i, log in enumerate(_sites(rng, logs)))
-        return Specimen(tissue, own, machine(rng), None if changes else order)
+        return Specimen(tissue, own, machine(rng), None if changes else order, tip)
 
     return make
 
@@ -106,8 +111,9 @@ def _unstated(rng: np.random.Generator) -> Machine:
     )
 
 
-def _drifting(i: int, log: Log) -> Log:
-    return replace(log, gain=log.gain * (1.0 + 0.03 * (i - (len(PROGRAM) - 1) / 2.0)))
+def _gained(factor: Callable[[int], float]) -> Callable[[int, Log], Log]:
+    """Change of the gain of each log by its number."""
+    return lambda i, log: replace(log, gain=log.gain * factor(i))
 
 
 UNSTATED = "unstated machine"
@@ -126,7 +132,7 @@ CALIBRATION: dict[str, Maker] = {
         rows=((60.0,),), tau=(5.0,), logs=tuple(replace(one, hold_s=1.5) for one in PROGRAM)
     ),
     "two branches": _case(rows=((60.0,), (20.0,)), tau=(0.1, 1.5), logs=(*PROGRAM, *HOLDS[:2])),
-    "drift of 3 % a log": _case(each=_drifting),
+    "drift of 3 % a log": _case(each=_gained(lambda i: 1.0 + 0.03 * (i - (len(PROGRAM) - 1) / 2.0))),
 }
 FORMS: dict[str, Maker] = {
     "quasi-linear": _case(inside=True, tau=(1.0,), rows=((30.0,),), logs=(*PROGRAM[:3], *HOLDS[:3])),
@@ -145,14 +151,6 @@ def _stick_slip(depth: np.ndarray, force: np.ndarray) -> np.ndarray:
     return force * (1.0 + 0.08 * (phase - 0.5))
 
 
-def _first(i: int, log: Log) -> Log:
-    return replace(log, gain=log.gain * (1.2 if i == 0 else 1.0))
-
-
-def _damaged(i: int, log: Log) -> Log:
-    return replace(log, gain=log.gain * 0.95**i)
-
-
 def _tilted(depth: np.ndarray) -> np.ndarray:
     """Mean depth of a flat punch of 5 mm radius that stands 8 degrees askew."""
     across = 5.0 * np.sin(np.radians(8.0)) * np.linspace(-1.0, 1.0, 41)
@@ -166,11 +164,6 @@ def _drained(rng: np.random.Generator) -> Specimen:
     size, spread = rng.lognormal(0.0, 0.15), rng.lognormal(0.0, 0.3)
     tissue = Tissue(drains=Drainage(8.0 * size, 0.5, 60.0 * spread, 20.0))
     return Specimen(tissue, _sites(rng, DEPTHS), PLAIN, tip=SPHERE)
-
-
-def _viscous(rng: np.random.Generator) -> Specimen:
-    """The same program on a viscous tissue."""
-    return replace(_case(logs=DEPTHS)(rng), tip=SPHERE)
 
 
 def _all_bent(bent: Any) -> Callable[[int, Log], Log]:
@@ -188,17 +181,20 @@ FLAT = SPHERE.replace("sphere", "flat").replace("20.0", "5.0")
 #: Makers with the flags of which one is due.
 MECHANISMS: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "none": (_case(logs=HOLDS), ()),
-    "first push 20 % stiffer": (_case(logs=HOLDS, each=_first), ("order_effect",)),
-    "damage of 5 % a push": (_case(logs=HOLDS, each=_damaged), ("order_effect",)),
+    "first push 20 % stiffer": (
+        _case(logs=HOLDS, each=_gained(lambda i: 1.2 if i == 0 else 1.0)),
+        ("order_effect",),
+    ),
+    "damage of 5 % a push": (_case(logs=HOLDS, each=_gained(lambda i: 0.95**i)), ("order_effect",)),
     "rigid base": (_case(each=_all_bent(_base)), ("discrepancy", "misfit")),
     "drainage at four depths": (_drained, ("poroelastic",)),
-    "viscous at four depths": (_viscous, ()),
+    "viscous at four depths": (_case(logs=DEPTHS, tip=SPHERE), ()),
     "pull-off": (
         _case(logs=tuple(replace(one, returns=True) for one in HOLDS), adhesion_N=8.0),
         ("adhesion", "contact_loss_misfit"),
     ),
     "tilt of 8 degrees": (
-        lambda rng: replace(_case(each=lambda _, log: replace(log, met=_tilted))(rng), tip=FLAT),
+        _case(each=lambda _, log: replace(log, met=_tilted), tip=FLAT),
         ("discrepancy", "misfit"),
     ),
     "stick-slip": (_case(logs=HOLDS, each=_all_bent(_stick_slip)), ("discrepancy", "misfit", "slip")),
@@ -219,27 +215,24 @@ displacement_class = 0.5
 """
 
 
-def _identified(
-    specimen: Specimen, rng: np.random.Generator, seed: int, *, stated: bool = False
-) -> dict[str, Any]:
-    """Document of a specimen, fitted as by default."""
-    import tissueid
-    from tissueid.inference.specimen import FitOptions
-    from tissueid.pipeline import IdentifyOptions, PosteriorOptions, identify
-    from tissueid.trial import Source, Trial
-
-    trials = [
-        Trial("field", *recorded(specimen.tissue, log, specimen.machine, rng), source=Source(path=f"{k}.csv"))
-        for k, log in enumerate(specimen.logs)
-    ]
-    options = IdentifyOptions(fit=FitOptions(), posterior=PosteriorOptions(seed=seed), seed=seed)
-    study, told = None, STATED if stated else specimen.tip
+def identified(trials: Sequence[ti.Trial], told: str, seed: int, model: str | None = None) -> Identification:
+    """Identify recordings with a posterior, beside a study file of the text that is told."""
+    options = ti.IdentifyOptions(
+        fit=ti.FitOptions(model=model), posterior=ti.PosteriorOptions(seed=seed), seed=seed
+    )
+    study = None
     if told:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "study.toml"
             path.write_text(told, encoding="utf-8")
-            study = tissueid.read_study(path)
-    return identify(trials, study=study, options=options).as_json()["specimens"][0]
+            study = ti.read_study(path)
+    return ti.identify(trials, study=study, options=options)
+
+
+def compared(one: dict[str, Any], truth: float) -> dict[str, Any]:
+    """A truth beside its total interval: in units of the interval's own deviation, and if it is inside."""
+    low, high = one["ci95_total"]
+    return {"z": (one["value"] - truth) / max((high - low) / 3.92, 1e-300), "in": low <= truth <= high}
 
 
 def _truths(tissue: Tissue, depth_mm: float) -> dict[str, float]:
@@ -283,11 +276,11 @@ def _judged(specimen: Specimen, document: dict[str, Any]) -> dict[str, Any]:
         truth, value, total = truths.get(one["name"]), one["value"], one["ci95_total"]
         if truth is None or value is None or total is None or found != specimen.order:
             continue
-        sd = max((total[1] - total[0]) / 3.92, 1e-300)
+        beside = compared(one, truth)
         rows[one["name"]] = {
-            "z": (value - truth) / sd,
+            "z": beside["z"],
             "in": one["ci95"][0] <= truth <= one["ci95"][1],
-            "in_total": total[0] <= truth <= total[1],
+            "in_total": beside["in"],
             "error": (value - truth) / truth if truth else None,
         }
     shares = [
@@ -321,7 +314,12 @@ def _recorded(name: str, number: int) -> dict[str, Any]:
     """Record of one specimen, drawn with a seed of its own: the same in whatever order they are drawn."""
     rng = np.random.default_rng([20261125, number, *name.encode()])
     specimen, started = MAKERS[name](rng), time.process_time()
-    document = _identified(specimen, rng, number, stated=name in CALIBRATION and name != UNSTATED)
+    trials = [
+        ti.Trial("field", *recorded(specimen.tissue, log, specimen.machine, rng), source=Source(f"{k}.csv"))
+        for k, log in enumerate(specimen.logs)
+    ]
+    told = STATED if name in CALIBRATION and name != UNSTATED else specimen.tip
+    document = identified(trials, told, number).as_json()["specimens"][0]
     return {**_judged(specimen, document), "cpu_s": time.process_time() - started}
 
 

@@ -15,7 +15,6 @@ samples.  Ratios count; seconds belong to one machine.
 
 from __future__ import annotations
 
-import argparse
 import json
 import multiprocessing
 import statistics
@@ -27,7 +26,7 @@ from pathlib import Path
 
 import lmfit
 import numpy as np
-from processes import peak_MB
+from harness import command_line, peak_MB
 from scipy.signal import lfilter
 
 from tissueid.inference.logs import LogHandle
@@ -155,10 +154,9 @@ def memory() -> dict[str, float]:
 
 def main() -> int:
     """Run, print, and say whether the bars were met."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = command_line(__doc__)
     parser.add_argument("--pairs", type=int, default=3)
     parser.add_argument("--memory", action="store_true", help="memory only")
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     if options.memory:
         print(json.dumps(memory(), indent=2))

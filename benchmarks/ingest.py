@@ -14,7 +14,6 @@ all processors; those ratios are printed too, without a bar.
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import sys
 import tempfile
@@ -25,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from harness import command_line
 
 from tissueid.ingest import read_trials
 
@@ -88,7 +88,7 @@ def peak_bytes_per_row(path: Path, rows: int) -> float:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = command_line(__doc__, json_words=None)
     parser.add_argument("--rows", type=int, default=200_000)
     parser.add_argument("--pairs", type=int, default=9)
     options = parser.parse_args()

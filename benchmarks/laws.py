@@ -18,16 +18,14 @@ there), and elsewhere how often a law is taken that ties.
 from __future__ import annotations
 
 import json
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from field import STATED
-from kept_records import asked_for, by_case, kept
+from field import STATED, compared, identified
+from harness import asked_for, by_case, kept
 from scipy.stats import binom
 
 import tissueid as ti
@@ -127,26 +125,14 @@ def judged(name: str, number: int) -> dict[str, Any]:
     """Record of one specimen."""
     rng = np.random.default_rng([20261125, number, *name.encode()])
     truth, (time_s, travel, force) = simulated(name, rng)
-    trial = ti.Trial("law", time_s, travel, force)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "study.toml"
-        path.write_text(STATED, encoding="utf-8")
-        study = ti.read_study(path)
-    options = ti.IdentifyOptions(
-        fit=ti.FitOptions(model=name), posterior=ti.PosteriorOptions(seed=number), seed=number
-    )
     started = time.process_time()
-    document = ti.identify([trial], study=study, options=options).as_json()["specimens"][0]
-    rows = {}
-    for one in document["parameters"]:
-        total = one["ci95_total"]
-        if one["name"] not in truth or total is None:
-            continue
-        sd = max((total[1] - total[0]) / 3.92, 1e-300)
-        rows[one["name"]] = {
-            "z": (one["value"] - truth[one["name"]]) / sd,
-            "in": total[0] <= truth[one["name"]] <= total[1],
-        }
+    found = identified([ti.Trial("law", time_s, travel, force)], STATED, number, name)
+    document = found.as_json()["specimens"][0]
+    rows = {
+        one["name"]: compared(one, truth[one["name"]])
+        for one in document["parameters"]
+        if one["name"] in truth and one["ci95_total"] is not None
+    }
     return {
         "parameters": rows, "nrmsd": document["nrmsd"]["range"],
         "converged": document["sampler"]["converged"],

@@ -9,13 +9,13 @@ changes little; ratios count.  A specimen and sweep should cost no more at 10,00
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import time
 import tracemalloc
 
 import numpy as np
+from harness import command_line
 
 from tissueid.population.sampler import SamplerOptions, sample_population
 from tissueid.population.stage_one import Design, StageOne
@@ -48,10 +48,7 @@ def plain_design(count: int) -> Design:
 
 def main() -> int:
     """Run and print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--json", action="store_true")
+    parser = command_line(__doc__)
     parser.add_argument("--sizes", default=",".join(map(str, SIZES)))
     given = parser.parse_args()
     sizes = [int(one) for one in given.sizes.split(",")]

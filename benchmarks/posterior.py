@@ -16,7 +16,6 @@ Ratios count; seconds belong to one machine.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import statistics
@@ -29,6 +28,7 @@ import emcee
 import lmfit
 import numpy as np
 from fit import DEPTH, OPTIONS, handles, logs
+from harness import command_line
 from scipy.signal import lfilter
 from threadpoolctl import threadpool_limits
 
@@ -230,10 +230,9 @@ def compare(draws: int, clock: Clock) -> dict[str, object]:
 
 def main() -> int:
     """Run, print, and say whether the bars were met."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = command_line(__doc__)
     parser.add_argument("--draws", type=int, default=2_000)
     parser.add_argument("--clock", choices=CLOCKS, default="wall", help="cpu where the machine is busy")
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     result = compare(options.draws, CLOCKS[options.clock])
     if options.json:

@@ -29,13 +29,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
+from harness import command_line
 from threadpoolctl import threadpool_limits
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -51,10 +52,9 @@ def default_data() -> Path:
 
 def options() -> argparse.Namespace:
     """Options of the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("--part", choices=(*PARTS, "all"), default="all")
     parser.add_argument("--data", type=Path, default=default_data(), help="folder of the recordings")
-    parser.add_argument("--json", action="store_true", help="print one JSON document")
     parser.add_argument("--only", default="*", help="pattern of the recordings' names")
     parser.add_argument("--sheets", type=int, help="most recordings of a file")
     parser.add_argument("--cuts", type=int, help="most cuts that are pooled")
@@ -83,17 +83,6 @@ def measured(asked: argparse.Namespace) -> dict[str, Any]:
         "speed": lambda: speed(asked.data, ROOT, sheets=asked.sheets),
     }
     return {part: made[part]() for part in parts}
-
-
-def finite(value: Any) -> Any:
-    """The same with ``null`` for numbers that JSON does not know."""
-    if isinstance(value, Mapping):
-        return {str(key): finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(one) for one in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def percent(value: float | None) -> str:
@@ -229,7 +218,9 @@ def main() -> int:
     with threadpool_limits(limits=1, user_api="blas"):
         result = measured(asked)
     if asked.json:
-        print(json.dumps(finite(result), indent=2))
+        # numbers that JSON does not know are ``null``
+        text = msgspec.json.encode(result, enc_hook=lambda value: value.tolist())
+        print(msgspec.json.format(text, indent=2).decode())
         return 0
     for part, value in result.items():
         print("\n".join(LINES[part](value)), end="\n\n")

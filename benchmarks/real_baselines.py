@@ -42,22 +42,13 @@ RATIO = 7.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Log:
-    """A push from contact on.
-
-    Attributes
-    ----------
-    name : str
-    time_s, depth_mm, force_N : ndarray, shape (n,)
-        Time [s], depth below contact [mm] and compressive force [N]; at rest in the first sample.
-    counted : ndarray of bool, shape (n,)
-        Samples that a fit counts; the history runs through the others as well.
-    """
+    """A push from contact on, at rest in the first sample."""
 
     name: str
-    time_s: Array
-    depth_mm: Array
-    force_N: Array
-    counted: Mask
+    time_s: Array  # (n,)
+    depth_mm: Array  # (n,), below contact
+    force_N: Array  # (n,), compressive
+    counted: Mask  # (n,), samples that a fit counts; the history runs through the others as well
 
     @property
     def peak(self) -> int:
@@ -79,16 +70,8 @@ def nrmsd(predicted: Array, measured: Array, span: float | None = None) -> float
 def rest_states(time_s: Array, signal: Array, tau_s: Array) -> Array:
     """Solution of ``z' + z / tau = signal'`` from rest, exact where the signal is straight between samples.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-    signal : ndarray, shape (n,) or (n, m)
-    tau_s : ndarray, shape (k,)
-        Infinity gives the signal less its first value.
-
-    Returns
-    -------
-    ndarray, shape (n, k) or (n, k, m)
+    ``signal`` (n,) or (n, m); ``tau_s`` (k,), infinity gives the signal less its first value.  Returns (n, k)
+    or (n, k, m).
     """
     flat = signal.reshape(signal.shape[0], -1)
     ratio = np.diff(time_s)[:, None] / tau_s
@@ -304,21 +287,12 @@ class Spectrum(Shapeless):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Yardstick(Shapeless):
-    """Curves of depth with a spectrum each, inside the convolution and outside it; no shape, no law to quote.
+    """Curves of depth with a spectrum each, inside the convolution and outside it; no law to quote."""
 
-    Attributes
-    ----------
-    tau_s : ndarray
-        Nodes; an infinite one is the static force.
-    depth_mm : float
-    inside, outside : int
-        Degree of the increasing polynomials inside, and of those of the present depth outside.
-    """
-
-    tau_s: Array
+    tau_s: Array  # nodes; an infinite one is the static force
     depth_mm: float
-    inside: int = 4
-    outside: int = 2
+    inside: int = 4  # degree of the increasing polynomials inside
+    outside: int = 2  # and of those of the present depth outside
 
     @classmethod
     def of(
@@ -376,22 +350,12 @@ def cone_weights(columns: Array, force: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedLaw:
-    """A law with its shape, and weights where all logs share them.
-
-    Attributes
-    ----------
-    law : Law
-    shape : ndarray
-    weights : ndarray or None
-        ``None`` where each log has its own.
-    nrmsd : float
-        Over the counted samples of all logs, over the range of their forces.
-    """
+    """A law with its shape, and weights where all logs share them."""
 
     law: Law
     shape: Array
-    weights: Array | None
-    nrmsd: float
+    weights: Array | None  # ``None`` where each log has its own
+    nrmsd: float  # over the counted samples of all logs, over the range of their forces
 
     def force(self, log: Log) -> Array:
         """Force along a log with the shared weights [N]."""
@@ -452,17 +416,10 @@ def fit_own(law: Law, logs: Sequence[Log]) -> FittedLaw:
     return FittedLaw(law, shape, None, rms(residual) / float(np.ptp(counted_force(logs))))
 
 
-def carried_to(columns: Array, log: Log, until: int | None = None) -> Array:
+def carried_to(columns: Array, log: Log) -> Array:
     """Force of a log whose own curve follows from its ramp: weights of the samples up to the peak [N].
 
-    Parameters
-    ----------
-    columns : ndarray, shape (n, m)
-        Of the log, with the relaxation that others gave.
-    log : Log
-    until : int, optional
-        Last sample of the ramp, where it isn't that of the largest force.
+    ``columns`` (n, m) of the log, with the relaxation that others gave.
     """
-    last = log.peak if until is None else until
-    ramp = log.counted & (np.arange(log.time_s.size) <= last)
+    ramp = log.counted & (np.arange(log.time_s.size) <= log.peak)
     return np.asarray(columns @ cone_weights(columns[ramp], log.force_N[ramp]))

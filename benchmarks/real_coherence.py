@@ -216,18 +216,7 @@ def _halves_summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def coherence(found: Sequence[Recording], *, cuts: int | None, splits: int, seed: int) -> dict[str, Any]:
-    """Coherence of every recording alone, of the meat pooled by cut, and of halves of the cuts.
-
-    Parameters
-    ----------
-    found : sequence of Recording
-    cuts : int, optional
-        Most cuts that are pooled.
-    splits : int
-        Random splits of each cut.
-    seed : int
-        The second seed is the next one.
-    """
+    """Coherence of every recording, of the meat pooled by cut (at most ``cuts``), and of halves of cuts."""
     single = [judged(one.name, one.kind, [one], seed) for one in found]
     pooled, halves = [], []
     for name, members in list(grouped(found, "meat").items())[:cuts]:

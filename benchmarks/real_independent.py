@@ -135,27 +135,12 @@ def independent_fit(
     contact_sd_mm: Sequence[float] | None,
     shaped: bool = False,
 ) -> tuple[dict[str, float], float]:
-    """Fit the model of an order from other starts, and keep the best.
+    """Fit the model of an order (branches, degree of K) to one specimen from other starts, and keep the best.
 
-    Parameters
-    ----------
-    logs : sequence of Log
-        Of one specimen; more than one differ by a gain.
-    order : tuple of int
-        Branches, and degree of K.
-    sigma_N : float
-        Standard deviation of the force that the priors of contact offsets are weighed against [N].
-    contact_sd_mm : sequence of float, optional
-        One a log [mm]; contact points are not searched without.
-    shaped : bool
-        The gain of each of several logs is a curve of depth.
-
-    Returns
-    -------
-    values : dict
-        Value of each parameter by its name in ``identification.json``; gains have a mean logarithm of 0.
-    rmse_N : float
-        Over the counted samples.
+    ``sigma_N``: standard deviation of the force that the priors of contact offsets are weighed against;
+    ``contact_sd_mm``: one a log, contact points are not searched without; ``shaped``: the gain of each of
+    several logs is a curve of depth.  Returns values by their names in ``identification.json``, and the RMSE
+    over the counted samples [N].
     """
     law = Paper(*order, deepest(logs), rays=RAYS if len(logs) > 1 else FINE_RAYS)
     problem = PooledProblem(law, logs)

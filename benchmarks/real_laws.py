@@ -18,17 +18,25 @@ from real_baselines import (
     Law,
     Log,
     Paper,
-    Proportional,
     QuasiLinear,
     Spectrum,
     Yardstick,
-    carried_to,
     deepest,
     fit_law,
-    fit_own,
     nrmsd,
 )
-from real_prediction import NO_MODEL, USUAL_ORDER, carried, foreign_error, hold_error, multiplied, no_model
+from real_prediction import (
+    NO_MODEL,
+    OWN,
+    QUASI,
+    USUAL_ORDER,
+    carried,
+    foreign_error,
+    hold_error,
+    multiplied,
+    no_model,
+    own_curves,
+)
 from real_recordings import Found, Recording, fit_of, left_out, tell
 
 Array = NDArray[np.float64]
@@ -67,24 +75,18 @@ def _of_hold(cut: str, rest: Sequence[Recording], log: Log) -> dict[str, float]:
     """NRMSD of one hold by every predictor."""
     others = [one.log for one in rest]
     depth = deepest([*others, log])
-    own = {
-        "paper's family": Proportional(*USUAL_ORDER, depth),
-        "quasi-linear": QuasiLinear(USUAL_ORDER[0], depth),
-    }
+    curves = own_curves(USUAL_ORDER, depth, others, log)
+    own = {"paper's family": curves[OWN], "quasi-linear": curves[QUASI]}
     forces, levelled = {}, _levelled(others)
     for name, law in five_laws([*others, log]).items():
-        if name in own:
-            fitted = fit_own(own[name], others)
-            forces[name] = carried_to(own[name].columns(log, fitted.shape), log)
-        else:
-            forces[name] = multiplied(fit_law(law, levelled).force(log), log, depth)
+        known = own.get(name)
+        forces[name] = multiplied(fit_law(law, levelled).force(log), log, depth) if known is None else known
     for name, model in ((AUTO, "auto"), (PLAIN, None)):
         ours = _fitted(rest, cut, model)
         if isinstance(ours, Found):
             forces[name] = carried(ours, log, depth)
-    plain = no_model(log, others)
-    usable = np.isfinite(plain)
-    forces[NO_MODEL] = np.concatenate([log.force_N[: log.peak], plain])
+    forces[NO_MODEL] = no_model(log, others)
+    usable = np.isfinite(forces[NO_MODEL])
     return {name: hold_error(force, log, usable) for name, force in forces.items()}
 
 
@@ -114,14 +116,7 @@ def _row(name: str, errors: Sequence[Mapping[str, float]]) -> dict[str, Any]:
 
 
 def among_laws(found: Sequence[Recording], *, cuts: int | None, logs: int | None) -> dict[str, Any]:
-    """Rows of every group, and the median and worst ratio of what is chosen to the best of the five.
-
-    Parameters
-    ----------
-    found : sequence of Recording
-    cuts, logs : int, optional
-        Most groups of a kind, and most logs left out of each.
-    """
+    """Rows of at most ``cuts`` groups of a kind, ``logs`` left out of each, and ratios to the best law."""
     rows = []
     for kind, one_of in (("muscle", _of_speed), ("meat", _of_hold)):
         errors: dict[str, list[dict[str, float]]] = {}

@@ -30,13 +30,7 @@ class PooledFit:
 
 
 class PooledProblem:
-    """Columns of one tissue whose logs differ by a contact offset and a gain, 1 in the geometric mean.
-
-    Parameters
-    ----------
-    law : Paper
-    logs : sequence of Log
-    """
+    """Columns of one tissue whose logs differ by a contact offset and a gain, 1 in the geometric mean."""
 
     def __init__(self, law: Paper, logs: Sequence[Log]) -> None:
         self.law, self.logs, self.force = law, logs, counted_force(logs)
@@ -76,11 +70,7 @@ class PooledProblem:
     def jacobian(self, z: Array, parts: Callable[[Array], tuple[Array, Array, Array, Array]]) -> Array:
         """Derivative of the residuals by all that isn't linear, the weights following (Kaufman 1975).
 
-        Parameters
-        ----------
-        z : ndarray, shape (p,)
-        parts : callable
-            ln tau, ln gains, contact offsets and shapes of a point.
+        ``parts``: ln tau, ln gains, contact offsets and shapes of a point z (p,).
         """
         columns = self.columns(*parts(z))
         weights = cone_weights(columns, self.force)
@@ -101,14 +91,9 @@ class PooledProblem:
 
 
 def fit_pooled(law: Paper, logs: Sequence[Log], *, shaped: bool = False) -> PooledFit:
-    """Least squares with a gain, a contact offset and, if wanted, a curve of depth of each log's own.
+    """Least squares with a gain and a contact offset of each log's own.
 
-    Parameters
-    ----------
-    law : Paper
-    logs : sequence of Log
-    shaped : bool
-        A log's gain is a curve of depth: the exponential of a quadratic.
+    ``shaped``: a log's gain is a curve of depth, the exponential of a quadratic.
     """
     problem = PooledProblem(law, logs)
     count, size = len(logs), law.branches

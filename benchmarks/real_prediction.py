@@ -48,15 +48,7 @@ AT_PEAK = " (peak given)"
 
 
 def foreign_force(found: Found, log: Log, shift_mm: float = 0.0) -> Array:
-    """Force that a fit predicts along the path of another log [N].
-
-    Parameters
-    ----------
-    found : Found
-    log : Log
-    shift_mm : float
-        Contact of the fit's logs above that of ``log`` [mm].
-    """
+    """Force that a fit, whose contacts lie ``shift_mm`` above a log's, predicts along that log's path [N]."""
     model = found.law
     theta = np.asarray(found.fit.theta, dtype=np.float64)
     depth = np.maximum(log.depth_mm + shift_mm, 0.0)
@@ -76,7 +68,7 @@ def foreign_error(found: Found, log: Log, others: Sequence[Log]) -> float:
 
 
 def no_model(log: Log, others: Sequence[Log]) -> Array:
-    """Peak times the mean normalised curve of the other logs, from the peak on [N]; NaN beyond them all."""
+    """A log up to its peak, then that times the others' mean normalised curve [N]; NaN beyond them all."""
     after = log.time_s[log.peak :] - log.time_s[log.peak]
     curves = [
         np.interp(
@@ -90,13 +82,15 @@ def no_model(log: Log, others: Sequence[Log]) -> Array:
     known = np.isfinite(curves)
     total = np.where(known, curves, 0.0).sum(axis=0)
     mean = np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
-    return np.asarray(log.force_N[log.peak] * mean)
+    return np.concatenate([log.force_N[: log.peak], log.force_N[log.peak] * mean])
 
 
 def hold_error(predicted: Array, log: Log, usable: NDArray[np.bool_]) -> float:
     """NRMSD of the samples after the peak, over the range of the log's forces."""
     after = slice(log.peak + 1, None)
-    return nrmsd(predicted[after][usable[1:]], log.force_N[after][usable[1:]], float(np.ptp(log.force_N)))
+    return nrmsd(
+        predicted[after][usable[after]], log.force_N[after][usable[after]], float(np.ptp(log.force_N))
+    )
 
 
 def multiplied(force: Array, log: Log, depth_mm: float) -> Array:
@@ -126,7 +120,7 @@ def _peer(pooling: str, law: Paper, logs: Sequence[Log]) -> FittedLaw:
     return fit_pooled(law, logs, shaped=pooling == "scaled").fitted
 
 
-def _own_curves(order: tuple[int, int], depth_mm: float, others: Sequence[Log], log: Log) -> dict[str, Array]:
+def own_curves(order: tuple[int, int], depth_mm: float, others: Sequence[Log], log: Log) -> dict[str, Array]:
     """Predictions of the laws with an own curve of each log, by least squares."""
     found = {}
     for name, law in ((OWN, Proportional(*order, depth_mm)), (QUASI, QuasiLinear(order[0], depth_mm))):
@@ -142,15 +136,14 @@ def _left_out_log(cut: str, left_out: Recording, rest: Sequence[Recording]) -> d
     ours = fit_of(rest, cut, sampled=False)
     order = ours.order if isinstance(ours, Found) and ours.order[0] else USUAL_ORDER
     pooling = ours.pooling if isinstance(ours, Found) else "partial"
-    forces = _own_curves(order, depth, others, log)
+    forces = own_curves(order, depth, others, log)
     peer = _peer(pooling, Paper(*order, depth), others)
     forces[PEER] = multiplied(peer.force(log), log, depth)
     if isinstance(ours, Found):
         forces[OURS] = carried(ours, log, depth)
     plain = no_model(log, others)
     usable = np.isfinite(plain)
-    full = np.concatenate([log.force_N[: log.peak], plain])
-    errors = {NO_MODEL: hold_error(full, log, usable)}
+    errors = {NO_MODEL: hold_error(plain, log, usable)}
     for name, force in forces.items():
         errors[name] = hold_error(force, log, usable)
         errors[name + AT_PEAK] = hold_error(force * log.force_N[log.peak] / force[log.peak], log, usable)
@@ -257,14 +250,7 @@ def measured_next(cut: str, left_out: Recording, rest: Sequence[Recording]) -> d
 
 
 def prediction(found: Sequence[Recording], *, cuts: int | None, logs: int | None) -> dict[str, Any]:
-    """Holds left out of the cuts, and ramp times left out of the muscle conditions.
-
-    Parameters
-    ----------
-    found : sequence of Recording
-    cuts, logs : int, optional
-        Most cuts, and most logs left out of each.
-    """
+    """Holds left out of at most ``cuts`` cuts, ``logs`` of each, and ramp times of the muscle conditions."""
     holds = []
     for cut, one, rest in left_out(found, "meat", 3, cuts, logs):
         tell(f"prediction: {one.name} from the other logs of {cut}")
@@ -321,14 +307,7 @@ def _in_sample(name: str, kind: str, members: Sequence[Recording]) -> dict[str, 
 
 
 def insample(found: Sequence[Recording], *, cuts: int | None) -> dict[str, Any]:
-    """NRMSD of pooled cuts over least squares with the same freedom, and of single recordings.
-
-    Parameters
-    ----------
-    found : sequence of Recording
-    cuts : int, optional
-        Most cuts.
-    """
+    """NRMSD of at most ``cuts`` cuts over least squares with the same freedom, and of single recordings."""
     pooled = [
         _in_sample(name, "cut", members) for name, members in list(grouped(found, "meat").items())[:cuts]
     ]

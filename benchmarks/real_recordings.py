@@ -34,23 +34,14 @@ _RAMP = re.compile(r"Avg(.+)_([\d.]+)s$")
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Recordings of one kind in the folder of all.
-
-    Attributes
-    ----------
-    kind : str
-    folder, pattern : str
-    columns : mapping
-        As ``--columns`` takes them; empty where the file speaks for itself.
-    from_start : bool
-        Contact is the first sample, whatever a search for it finds.
-    """
+    """Recordings of one kind in the folder of all."""
 
     kind: str
     folder: str
     pattern: str
+    #: As ``--columns`` takes them; empty where the file speaks for itself.
     columns: Mapping[str, str] = field(default_factory=dict)
-    from_start: bool = False
+    from_start: bool = False  # contact is the first sample, whatever a search for it finds
 
 
 SOURCES = (
@@ -69,25 +60,13 @@ SOURCES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A ramp and a hold.
-
-    Attributes
-    ----------
-    name, kind : str
-    group : str
-        The cut of a sheet, the condition of a muscle; empty where there is one recording.
-    trial : Trial
-        Its specimen is ``name``.
-    log : Log
-        From contact to the end of the hold.
-    contact_sd_mm : float
-    """
+    """A ramp and a hold."""
 
     name: str
     kind: str
-    group: str
-    trial: tissueid.trial.Trial
-    log: Log
+    group: str  # the cut of a sheet, the condition of a muscle; empty where there is one recording
+    trial: tissueid.trial.Trial  # its specimen is ``name``
+    log: Log  # from contact to the end of the hold
     contact_sd_mm: float
 
 
@@ -143,17 +122,7 @@ def _log(name: str, trial: Any, told: Mapping[str, Any], *, from_start: bool) ->
 
 
 def recordings(data: Path, only: str = "*", limit: int | None = None) -> list[Recording]:
-    """All recordings with a position-controlled hold.
-
-    Parameters
-    ----------
-    data : Path
-        Folder of all recordings.
-    only : str
-        Pattern of the names that are kept.
-    limit : int, optional
-        Most recordings of a file.
-    """
+    """Recordings with a position-controlled hold, ``only`` of such names, and at most ``limit`` of a file."""
     found = []
     for source in SOURCES:
         for path in sorted((data / source.folder).glob(source.pattern)):
@@ -195,20 +164,11 @@ def left_out(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """A fitted specimen.
-
-    Attributes
-    ----------
-    fit : SpecimenFit
-    document : mapping
-        Its entry in ``identification.json``.
-    cpu_s : float
-        Processor seconds of this process.
-    """
+    """A fitted specimen."""
 
     fit: Any
-    document: Mapping[str, Any]
-    cpu_s: float
+    document: Mapping[str, Any]  # its entry in ``identification.json``
+    cpu_s: float  # of this process
 
     @property
     def order(self) -> tuple[int, int]:
@@ -272,23 +232,10 @@ def value_of(parameter: Mapping[str, Any]) -> tuple[float, float | None]:
 def fit_of(
     members: Sequence[Recording], name: str, *, seed: int = 0, sampled: bool = True, **options: Any
 ) -> Found | str:
-    """Identify the recordings as one specimen, by the public interface.
+    """Identify the recordings as one specimen, by the public interface; the reason where nothing was fitted.
 
-    Parameters
-    ----------
-    members : sequence of Recording
-    name : str
-        Of the specimen.
-    seed : int
-    sampled : bool
-        Sample the posterior as the command does by default.
-    **options
-        Of :class:`tissueid.FitOptions`.
-
-    Returns
-    -------
-    Found or str
-        The reason, where nothing was fitted.
+    ``sampled``: sample the posterior as the command does by default; ``**options``: of
+    :class:`tissueid.FitOptions`.
     """
     trials = [replace(one.trial, specimen=name) for one in members]
     posterior = PosteriorOptions(seed=seed) if sampled else None

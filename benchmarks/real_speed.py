@@ -8,7 +8,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -28,43 +28,10 @@ REPEATS = 3
 RSS_UNIT = 1.0 if sys.platform == "darwin" else 1024.0
 
 
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """Cost of a process with its children.
+def cost_of(command: Sequence[str], environment: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """Processor and wall time [s], largest resident memory of one process [MB], exit code and last error.
 
-    Attributes
-    ----------
-    cpu_s, wall_s : float
-        User and system time [s]; time on the wall [s].
-    peak_MB : float
-        Largest resident memory of one process among them [MB].
-    exit : int
-    error : str
-        End of its stderr, where it failed.
-    """
-
-    cpu_s: float
-    wall_s: float
-    peak_MB: float
-    exit: int
-    error: str = ""
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain numbers."""
-        return {"cpu_s": self.cpu_s, "wall_s": self.wall_s, "peak_MB": self.peak_MB, "exit": self.exit} | (
-            {"error": self.error} if self.error else {}
-        )
-
-
-def cost_of(command: Sequence[str], environment: Mapping[str, str] | None = None) -> Cost:
-    """Run a command to its end and measure it, children that it waits for included.
-
-    Parameters
-    ----------
-    command : sequence of str
-        Arguments of this interpreter.
-    environment : mapping, optional
-        Added to that of this process.
+    ``command``: arguments of this interpreter, whose children are waited for; ``environment``: added to ours.
     """
     with tempfile.TemporaryFile() as errors:
         start = time.perf_counter()
@@ -79,12 +46,12 @@ def cost_of(command: Sequence[str], environment: Mapping[str, str] | None = None
         process.returncode = os.waitstatus_to_exitcode(status)
         errors.seek(0)
         last = errors.read().decode(errors="replace").strip().rpartition("\n")[2][-300:]
-    peak = usage.ru_maxrss * RSS_UNIT / 1e6
-    failed = "" if process.returncode in FINISHED else last
-    return Cost(usage.ru_utime + usage.ru_stime, wall, peak, process.returncode, failed)
+    spent = {"cpu_s": usage.ru_utime + usage.ru_stime, "wall_s": wall}
+    spent |= {"peak_MB": usage.ru_maxrss * RSS_UNIT / 1e6, "exit": process.returncode}
+    return spent if process.returncode in FINISHED or not last else {**spent, "error": last}
 
 
-def _fit(inputs: Sequence[str], environment: Mapping[str, str] | None = None) -> Cost:
+def _fit(inputs: Sequence[str], environment: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Cost of one fit into an empty folder; decisions beside the recordings are left aside."""
     with tempfile.TemporaryDirectory() as folder:
         out = str(Path(folder) / "out")
@@ -104,8 +71,8 @@ def _sheets(data: Path, limit: int | None) -> list[dict[str, Any]]:
             {
                 "workbook": path.name,
                 "sheets": len(chosen),
-                "cpu_s_per_sheet": cost.cpu_s / max(len(chosen), 1),
-                **cost.as_json(),
+                "cpu_s_per_sheet": cost["cpu_s"] / max(len(chosen), 1),
+                **cost,
             }
         )
     return rows
@@ -115,33 +82,25 @@ def _cold_and_warm(root: Path) -> dict[str, Any]:
     """First fit of one 100 Hz log with an empty folder of kernels, and the second, beside bare imports."""
     log = str(root / LOG)
     tell("speed: bare imports")
-    bare = min((cost_of(["-c", IMPORTS]) for _ in range(REPEATS)), key=lambda one: one.cpu_s)
+    bare = min((cost_of(["-c", IMPORTS]) for _ in range(REPEATS)), key=itemgetter("cpu_s"))
     with tempfile.TemporaryDirectory() as kernels:
         environment = {"NUMBA_CACHE_DIR": kernels}
         tell("speed: first fit of a 100 Hz log, no kernels compiled")
         first = _fit([log], environment)
         tell("speed: the same again")
-        second = min((_fit([log], environment) for _ in range(REPEATS)), key=lambda one: one.cpu_s)
+        second = min((_fit([log], environment) for _ in range(REPEATS)), key=itemgetter("cpu_s"))
     return {
         "log": LOG.as_posix(),
-        "imports": bare.as_json(),
-        "first": first.as_json(),
-        "second": second.as_json(),
-        "first_over_imports": first.cpu_s / bare.cpu_s,
-        "second_over_imports": second.cpu_s / bare.cpu_s,
+        "imports": bare,
+        "first": first,
+        "second": second,
+        "first_over_imports": first["cpu_s"] / bare["cpu_s"],
+        "second_over_imports": second["cpu_s"] / bare["cpu_s"],
     }
 
 
 def speed(data: Path, root: Path, *, sheets: int | None) -> dict[str, Any]:
-    """Cost of the meat workbooks and of one synthetic log.
-
-    Parameters
-    ----------
-    data, root : Path
-        Folder of the recordings; folder of the project.
-    sheets : int, optional
-        Most sheets of a workbook; ``None`` fits the workbooks as they are.
-    """
+    """Cost of the meat workbooks, at most ``sheets`` of each or as they are, and of one synthetic log."""
     # a log first: it leaves nothing compiled for the sheets, whose kernels are those of this installation
     log = _cold_and_warm(root)
     return {"one_log": log, "workbooks": _sheets(data, sheets)}

@@ -13,7 +13,6 @@ Bars: 7 MB, 5 s, 3 s.  Times are medians of the repeats; all of them are printed
 
 from __future__ import annotations
 
-import argparse
 import json
 import statistics
 import tempfile
@@ -21,7 +20,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from processes import run
+from harness import command_line, run
 
 RECIPE = "paper-a-30-k1"
 CHROMIUM = Path("/usr/bin/chromium")
@@ -96,11 +95,10 @@ def measured(out: Path, repeats: int) -> dict[str, list[float]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("--rate", type=float, default=10_000.0, help="samples a second")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--fit-option", action="append", default=[], help="one more for `tissueid fit`")
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         data, out = Path(folder) / "logs", Path(folder) / "out"

@@ -14,7 +14,6 @@ at which the compiled Falcon code sends a command and parses an answer, with a p
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
@@ -30,6 +29,7 @@ from pathlib import Path
 
 import numba as nb
 import numpy as np
+from harness import command_line
 
 from tissueid.haptics import device as devices
 from tissueid.haptics.device import CompiledIO, compiled_io
@@ -174,10 +174,9 @@ def ping_pong_hz() -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("--pairs", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=5.0)
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     compiler = shutil.which("gcc")
     if compiler is None:

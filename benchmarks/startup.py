@@ -7,11 +7,10 @@ The floor is the interpreter and click; the bar is 1.5 times that.
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import sys
 
-from processes import run
+from harness import command_line, run
 
 OURS = ("-c", "import sys; from tissueid.cli.main import main; sys.exit(main(['--help']))")
 PEER = ("-c", "import click")
@@ -20,7 +19,7 @@ BAR = 1.5
 
 def main() -> int:
     """Print the median ratio of interleaved pairs."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = command_line(__doc__, json_words=None)
     parser.add_argument("--pairs", type=int, default=15)
     pairs = parser.parse_args().pairs
     run(*OURS), run(*PEER)

@@ -13,7 +13,6 @@ interval that came out.  ``destroyed``: the refit gives no interval.
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
 import time
@@ -21,9 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from field import STATED
+from field import STATED, identified
+from harness import command_line, kept
 from laws import DEPTH_MM, simulated
-from threadpoolctl import threadpool_limits
 
 import tissueid as ti
 from tissueid.documents.twin import Device
@@ -68,23 +67,20 @@ def drawn(name: str, number: int) -> dict[str, Any]:
     _, (time_s, travel, force) = simulated(TISSUE_OF.get(name, name), rng)
     trial = ti.Trial("twin", time_s, travel, force)
     started = time.process_time()
-    with tempfile.TemporaryDirectory() as made:
-        folder = Path(made)
-        (folder / "study.toml").write_text(STATED, encoding="utf-8")
-        options = ti.IdentifyOptions(
-            fit=ti.FitOptions(model=name), posterior=ti.PosteriorOptions(seed=number), seed=number
-        )
-        found = ti.identify([trial], study=ti.read_study(folder / "study.toml"), options=options)
+    try:
+        found = identified([trial], STATED, number, name)
         if not found.specimens:
-            return {"law": name, "number": number, "failed": found.exit.reasons[0]}
+            return {"failed": found.exit.reasons[0]}
         provenance = {"tissueid": ti.__version__, "versions": {}, "options": {}, "inputs": []}
         bundle = bundle_from_fit(found.specimens[0], provenance=provenance)
-        write_bundle(bundle, folder / "bundle.h5")
         program = program_of_recording(trial, bundle.depth_mm)
-        twin = run_twin(bundle, folder / "bundle.h5", Setup(program), folder, lambda *_: None).found
+        with tempfile.TemporaryDirectory() as made:
+            path = Path(made) / "bundle.h5"
+            write_bundle(bundle, path)
+            twin = run_twin(bundle, path, Setup(program), path.parent, lambda *_: None).found
+    except TissueidError as error:
+        return {"failed": str(error)}
     return {
-        "law": name,
-        "number": number,
         "force_scale": twin.force_scale,
         "motion_scale": twin.motion_scale,
         "unseen": twin.unseen.nrmsd_model,
@@ -130,31 +126,13 @@ def _line(row: dict[str, Any]) -> str:
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--draws", type=int, default=50)
+    parser = command_line(__doc__)
+    parser.add_argument("--draws", dest="specimens", type=int, default=50)
     parser.add_argument("--laws", nargs="+", default=list(LAWS))
     parser.add_argument("--minutes", type=float, default=1e9)
     parser.add_argument("--records", type=Path)
-    parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
-    kept = asked.records is not None and asked.records.is_file()
-    records = [json.loads(line) for line in asked.records.read_text().splitlines()] if kept else []
-    known = {(one["law"], one["number"]) for one in records}
-    ends = time.monotonic() + 60.0 * asked.minutes
-    with threadpool_limits(1):
-        for number in range(asked.draws):
-            for name in asked.laws:
-                if (name, number) in known or time.monotonic() > ends:
-                    continue
-                try:
-                    records.append(drawn(name, number))
-                except TissueidError as error:
-                    records.append({"law": name, "number": number, "failed": str(error)})
-                if asked.records is not None:
-                    with asked.records.open("a") as file:
-                        file.write(json.dumps(records[-1]) + "\n")
+    records = kept(asked.laws, asked, drawn, key="law")
     rows = _rows(records, tuple(asked.laws))
     if asked.json:
         bars = {"force": FORCE_BAR, "unseen": UNSEEN_BAR, "inside": INSIDE_BAR, "depth_mm": DEPTH_MM}

@@ -150,6 +150,15 @@ def test_a_left_out_log_takes_its_curve_from_its_ramp_and_its_relaxation_from_ot
     assert laws.nrmsd(predicted[hold], left_out.force_N[hold]) <= 1e-3
 
 
+def test_every_benchmark_is_loaded():
+    """What the package no longer has, none of them asks for."""
+    modules = sorted(file.stem for file in BENCHMARKS.glob("*.py"))
+    assert len(modules) > 20
+    command = [sys.executable, "-c", f"import {', '.join(modules)}"]
+    ended = subprocess.run(command, cwd=BENCHMARKS, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
 def test_absent_recordings_are_said_and_are_no_failure(tmp_path: Path) -> None:
     command = [sys.executable, str(BENCHMARKS / "real.py"), "--data", str(tmp_path), "--json"]
     ended = subprocess.run(command, check=False, capture_output=True, text=True)

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import run, write_csv
+from impact_logs import impact_logs
 
 from tissueid.errors import BundleError, UsageError
 from tissueid.rendering.scene import load_scene
 from tissueid.store.bundle import load_bundle
 from tissueid.store.session_log import read_session_log
 from tissueid.synth.recipe import Hold, Log, Move, Recipe
-from tissueid.synth.simulate import simulate_contact_law
 
 RAMP = (Move(4.0, 100.0),)
 WHOLE = (*RAMP, Hold(2.0), Move(0.0, 100.0))
@@ -30,7 +30,7 @@ def recordings(folder: Path, moves: tuple[Move | Hold, ...]) -> Path:
     """Plain CSV of a body with k = 4, n = 1.5, e = 0.7."""
     plan = Recipe("wall", (Log("a", moves, repeats=2),), rate_Hz=100.0, sigma_N=0.1, contact_offset_mm=1.0)
     rng = np.random.default_rng(2)
-    for log in simulate_contact_law(plan, stiffness=4.0, exponent=1.5, restitution=0.7, rng=rng):
+    for log in impact_logs(plan, stiffness=4.0, exponent=1.5, restitution=0.7, rng=rng):
         write_csv(folder / f"{log.name}.csv", log.time_s, log.displacement_mm, log.force_N)
     return folder
 

@@ -70,12 +70,6 @@ SLOW_RUNS, SLOW_BAND = 200, (0.85, 1.15)
 RUNS, BAND = 25, (0.55, 1.5)
 
 
-def ratios(case: Case, runs: int) -> dict[str, float]:
-    predicted = case.predicted()
-    errors = simulated_errors(case, runs)
-    return {name: float(errors[name].std(ddof=1) / predicted[name]) for name in predicted}
-
-
 def at_100_Hz() -> Case:
     case = paper_a()
     return replace(case, setting=case.machine.settings[1])
@@ -87,8 +81,10 @@ def at_100_Hz() -> Case:
     ids=lambda made: made.__name__,
 )
 def test_estimates_of_simulated_recordings_scatter_as_predicted(made):
-    for name, ratio in ratios(made(), RUNS).items():
-        assert BAND[0] <= ratio <= BAND[1], name
+    case = made()
+    predicted, errors = case.predicted(), simulated_errors(case, RUNS)
+    for name, sd in predicted.items():
+        assert BAND[0] <= float(errors[name].std(ddof=1) / sd) <= BAND[1], name
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from impact_logs import impact_logs
 
 import tissueid as ti
 from tissueid.errors import InputError
@@ -20,7 +21,7 @@ from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.priors import CalibrationPrior, Priors
 from tissueid.segment import segment
 from tissueid.synth.recipe import Hold, Log, Move, Recipe
-from tissueid.synth.simulate import as_trials, simulate_contact_law
+from tissueid.synth.simulate import as_trials
 
 LAW = "power * impact"
 TRUTH = {"c": 4.0, "n": 1.5, "e": 0.7}
@@ -49,7 +50,7 @@ def recorded(moves, *, seed=1, speeds=(1.0,), **recipe):
     )
     plan = Recipe("law", program, **{"rate_Hz": 100.0, "sigma_N": 0.2, "contact_offset_mm": 1.0, **recipe})
     rng = np.random.default_rng(seed)
-    return as_trials(simulate_contact_law(plan, stiffness=4.0, exponent=1.5, restitution=0.7, rng=rng))
+    return as_trials(impact_logs(plan, stiffness=4.0, exponent=1.5, restitution=0.7, rng=rng))
 
 
 def fitted(moves, *, name=LAW, **given):

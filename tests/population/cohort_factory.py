@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from tissueid.inference.diagnostics import _effective_size
@@ -50,20 +48,12 @@ def normal_stage(
     return StageOne(phi, tuple(np.zeros(draws) for _ in phi), np.zeros(size, bool), np.zeros(0, np.int64))
 
 
-@dataclass(frozen=True, slots=True)
-class MonteCarloErrors:
-    """Standard errors of the mean and the standard deviation of correlated draws."""
-
-    mean: float
-    sd: float
-
-
-def monte_carlo_errors(draws: np.ndarray) -> MonteCarloErrors:
-    """Of draws of one number, shape (chains, draws), by Geyer's sequence of their correlations."""
+def monte_carlo_errors(draws: np.ndarray) -> np.ndarray:
+    """Standard errors of mean and deviation of a number's draws (chains, draws), by Geyer's sequence."""
     squares = (draws - draws.mean()) ** 2
     mean = draws.std() / np.sqrt(_effective_size(draws))
     variance = squares.std() / np.sqrt(_effective_size(squares))
-    return MonteCarloErrors(float(mean), float(variance / (2.0 * draws.std())))
+    return np.array([mean, variance / (2.0 * draws.std())])
 
 
 def ramp(theta: np.ndarray, *, speed_mm_s: float = 4.0, gain: float = 1.0, sigma_N: float = 0.0) -> Curve:

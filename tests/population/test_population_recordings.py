@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -42,16 +41,7 @@ OPTIONS = IdentifyOptions(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Truth:
-    """A population, and the tissues of its specimens."""
-
-    mean: np.ndarray
-    sd: np.ndarray
-    places: np.ndarray
-
-
-def drawn(rng: np.random.Generator) -> Truth:
+def drawn(rng: np.random.Generator) -> SimpleNamespace:
     """A population whose typical tissue is passive, and as many passive specimens of it."""
     size = COORDINATES.size
     while True:
@@ -63,7 +53,7 @@ def drawn(rng: np.random.Generator) -> Truth:
         places = mean + (rng.standard_normal((2 * SPECIMENS, size)) / np.sqrt(weight)[:, None]) @ low.T
         good = places[COORDINATES.passive(COORDINATES.to_theta(places))][:SPECIMENS]
         if COORDINATES.passive(COORDINATES.to_theta(mean))[0] and len(good) == SPECIMENS:
-            return Truth(mean, sd, good)
+            return SimpleNamespace(mean=mean, sd=sd, places=good)
 
 
 def recipe(

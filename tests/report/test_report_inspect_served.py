@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import threading
-import time
 from typing import Any
 
 import pytest
+from command_line import until
 from corrected_lab import corrected
 
 from tissueid.ingest.manifest import read_study
@@ -19,9 +19,7 @@ def page(tmp_path):
     with PageServer(corrected(tmp_path, "run <b>1.csv"), None) as server:
         thread = threading.Thread(target=server.run)
         thread.start()
-        deadline = time.monotonic() + 20.0
-        while not server.server.started and time.monotonic() < deadline:
-            time.sleep(0.01)
+        until(lambda: server.server.started, seconds=20.0)
         yield server
         server.server.should_exit = True
         thread.join()

@@ -6,12 +6,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_line import until
 from conjugate_check import NormalMean
 from scipy.stats import binom
 
@@ -146,10 +146,7 @@ def started(path: Path, simulations: int, workers: int, records: int) -> subproc
     script, root = Path(__file__).with_name("conjugate_check.py"), Path(__file__).resolve().parents[2]
     arguments = [sys.executable, str(script), str(path), str(simulations), str(workers)]
     running = subprocess.Popen(arguments, env=os.environ | {"PYTHONPATH": str(root)})
-    deadline = time.monotonic() + 120.0
-    while not (path.exists() and path.read_bytes().count(b"\n") > records):
-        assert time.monotonic() < deadline, "nothing was simulated"
-        time.sleep(0.01)
+    until(lambda: path.exists() and path.read_bytes().count(b"\n") > records, seconds=120.0)
     return running
 
 
@@ -183,10 +180,7 @@ def test_workers_end_with_a_run_that_is_killed(tmp_path):
         except (FileNotFoundError, ProcessLookupError):
             return False
 
-    deadline = time.monotonic() + 120.0
-    while any(alive(worker) for worker in workers):
-        assert time.monotonic() < deadline, "a worker lives on"
-        time.sleep(0.05)
+    until(lambda: not any(alive(worker) for worker in workers), seconds=120.0)
 
 
 @pytest.mark.parametrize(("simulations", "level"), [(60, 0.95), (200, 0.95), (200, 0.99)])

@@ -76,48 +76,6 @@ def test_numbers_may_carry_another_unit(tmp_path):
     assert found.sigma_N.median == pytest.approx(0.5, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("text", "line", "words"),
-    [
-        ("[priors.statik_1_N_per_mm]\nmean = 1\nsd = 1\n", 2, ["statik_1", "did you mean static_1_N_per_mm"]),
-        ("[priors.static_1]\nmean = 1\nsd = 1\n", 2, ["did you mean static_1_N_per_mm?"]),
-        ("[priors.stiffness_0_b2]\nmean = 1\nsd = 1\n", 2, ["did you mean stiffness_0_N_per_mm_b2?"]),
-        ("[priors.viscosity_N_s_per_mm]\nmean = 1\nsd = 1\n", 2, ["K times tau"]),
-        ("[priors.static_1_N_per_mm]\nmean = 1\n", 2, ["[priors.static_1_N_per_mm]: sd is missing", "N/mm"]),
-        ("[priors.static_1_N_per_mm]\nmean = 1\nsd = 0\n", 4, ["[priors.static_1_N_per_mm] sd", "above 0"]),
-        ("[priors.static_1_N_per_mm]\nmean = 1\nsd = '1 kg'\n", 4, ["kg", "N/mm"]),
-        ("[priors.static_2_N_per_mm2]\nmean = '1 N/mm'\nsd = 1\n", 3, ["N/mm", "N/mm2"]),
-        ("[priors.static_1_N_per_mm]\nmean = '1'\nsd = 1\n", 3, ["mean = \"1\" has no unit"]),
-        ("[priors.static_1_N_per_mm]\nmean = 1\nsd = 1\nmedian = 2\n", 2, ["median"]),
-        ("[priors]\nstatic_1_N_per_mm = 20\n", 3, ["must be a table"]),
-        ("[priors.relaxation_time_s]\nmedian = 1\nsd_ln = 1\n", 2, ["[[", "list"]),
-        ("[[priors.relaxation_time_s]]\nmedian = -1\nsd_ln = 1\n", 3, ["[[priors.relaxation_time_s]] 1, me"]),
-        (
-            "priors.relaxation_time_s = [{median = 2, sd_ln = 1},\n{median = 1, sd_ln = 1}]",
-            2,
-            ["[[priors.relaxation_time_s]] 2, median", "shortest relaxation time first"],
-        ),
-        ("[priors.phi]\nlow = 0.9\nhigh = 0.5\n", 3, ["low = 0.9 is not below high = 0.5"]),
-        ("[priors.phi]\nlow = 0.9\nhigh = 1.5\n", 4, ["[priors.phi] high", "1.5"]),
-        ("[priors.phi]\nlow = 0.9\n", 2, ["high is missing"]),
-        ("[priors.gain_sd]\nscale = true\n", 3, ["True must be a number"]),
-        ("[priors.sigma_N]\nmedian = nan\nsd_ln = 1\n", 3, ["finite"]),
-        (4 * "[[priors.relaxation_time_s]]\nmedian = 1\nsd_ln = 1\n", None, ["relaxation_time_s"]),
-        ("[priors.static_exponent]\nmean = 1\nsd = 1\n", None, ["static_exponent takes median and sd_ln"]),
-        ("[priors.static_N_per_mm]\nmedian = 1\nsd_ln = 1\n", None, ["static_N_per_mm takes mean and sd"]),
-        ("[priors.static_exponant]\nmedian = 1\nsd_ln = 1\n", None, ["did you mean static_exponent?"]),
-        ("[priors.static_exponent]\nmedian = -1\nsd_ln = 1\n", None, ["static_exponent"]),
-    ],
-)  # fmt: skip
-def test_what_is_wrong_is_refused_with_its_line_and_the_way_out(tmp_path, text, line, words):
-    with pytest.raises(InputError) as caught:
-        priors_in(tmp_path, text)
-    assert caught.value.code == "invalid_study"
-    assert line is None or caught.value.line == line, caught.value
-    for word in words:
-        assert word in caught.value.message
-
-
 def test_priors_of_the_population_are_read_and_the_rest_keeps_its_default(tmp_path):
     found = study_in(
         tmp_path,

@@ -25,7 +25,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from tissueid.errors import InputError, UsageError
+from tissueid.errors import InputError, refuse
 from tissueid.priors import CALIBRATION_DEFAULTS
 
 #: Calibration nuisances of a total precision, in the order of their columns.
@@ -221,11 +221,9 @@ def found_machine(named: str | None) -> Machine:
     """The machine of a preset or a file."""
     names = ", ".join(PRESETS)
     if named is None:
-        msg = f"which machine? give --machine machine.toml, or one of {names} (docs/design.md)"
-        raise UsageError(msg)
+        refuse(f"which machine? give --machine machine.toml, or one of {names} (docs/design.md)")
     if named in PRESETS:
         return PRESETS[named]
     if not Path(named).is_file():
-        msg = f"--machine {named}: no such file or preset; presets are {names}"
-        raise UsageError(msg)
+        refuse(f"--machine {named}: no such file or preset; presets are {names}")
     return _load(Path(named))

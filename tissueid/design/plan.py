@@ -13,7 +13,7 @@ from tissueid.design.precision import Asked, Ledger, Protocol
 from tissueid.design.search import REFINED, Found, balanced, count_paths, enumerated, refined
 from tissueid.design.tissues import Tissues
 from tissueid.documents.design import Limit, Want
-from tissueid.errors import UsageError
+from tissueid.errors import UsageError, refuse
 
 #: A change that betters the precision by less is not worth telling.
 WORTH_TELLING = 1.1
@@ -195,8 +195,7 @@ def _check_room(machine: Machine, ledgers: Sequence[Ledger], asked: Asked) -> No
         depth = f"{asked.max_depth_mm:g} mm are within the error of the contact point: raise --max-depth"
         raise UsageError(force if deepest < asked.max_depth_mm else depth)
     if asked.repeats > asked.max_logs:
-        msg = f"--repeats {asked.repeats} does not fit --max-logs {asked.max_logs}"
-        raise UsageError(msg)
+        refuse(f"--repeats {asked.repeats} does not fit --max-logs {asked.max_logs}")
 
 
 def planned(machine: Machine, tissues: Tissues, asked: Asked, progress: Progress) -> Plan:
@@ -221,11 +220,10 @@ def planned(machine: Machine, tissues: Tissues, asked: Asked, progress: Progress
         if found:
             pools.append((ledger, found))
     if not pools:
-        msg = (
+        refuse(
             f"no protocol of {asked.repeats} repeats fits a machine time of {asked.budget_s / 60:.3g} min "
             f"with {asked.setup_s:g} s to mount and {asked.recovery_s:g} s of rest: allow a larger --budget"
         )
-        raise UsageError(msg)
     finalists = _finalists(pools, progress)
     ranked = _ranked(machine, tissues, asked, finalists, progress)
     best = next(ledger for ledger in ledgers if ledger.setting == ranked[0].setting)

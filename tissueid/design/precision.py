@@ -21,7 +21,7 @@ from tissueid.arrays import FloatArray
 from tissueid.design.machine import CALIBRATION, Machine, Setting
 from tissueid.design.tissues import Tissues
 from tissueid.documents.design import Want
-from tissueid.errors import UsageError
+from tissueid.errors import refuse
 from tissueid.inference.window import GUARD_SD
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel, loading_force
@@ -134,13 +134,6 @@ class Chain:
         return out
 
 
-def _log_columns(model: ChannelModel, theta: FloatArray, path: ContactPath) -> FloatArray:
-    """Derivatives by theta, shapes by their logarithm."""
-    columns = model.jacobian(theta, path)
-    columns[:, model.shape_places] *= theta[model.shape_places]
-    return columns
-
-
 def _along(
     model: ChannelModel, theta: FloatArray, path: ContactPath, force: FloatArray, direction: FloatArray
 ) -> FloatArray:
@@ -196,7 +189,9 @@ def _rows(
     depth = np.interp(time, sampled, ramp.depth(sampled))
     path = ContactPath(time, tip_depth(model, theta, time, depth, chain.machine.compliance_mm_per_N))
     force = model.force(theta, path)
-    own = _log_columns(model, theta, path)
+    # shapes by their logarithm
+    own = model.jacobian(theta, path)
+    own[:, model.shape_places] *= theta[model.shape_places]
     offset = -_along(model, theta, path, force, np.ones(time.size))
     columns = [low_pass(time, column, filter_s) for column in (*own.T, force, offset)]
     if chain.total:
@@ -279,8 +274,9 @@ def given_protocol(recipe: Recipe) -> Protocol:
             case (Move() as move, Hold() as stop):
                 hold = stop.hold_s
             case _:
-                msg = f"{recipe.name}: log {log.name!r} is not one ramp, with or without a hold: not compared"
-                raise UsageError(msg)
+                refuse(
+                    f"{recipe.name}: log {log.name!r} is not one ramp, with or without a hold: not compared"
+                )
         test = Indentation(move.speed_mm_min, move.to_mm, hold)
         out[test] = out.get(test, 0) + log.repeats
     return out

@@ -12,7 +12,7 @@ from scipy.stats import norm, qmc
 
 from tissueid.arrays import FloatArray
 from tissueid.documents.design import Want
-from tissueid.errors import UsageError
+from tissueid.errors import UsageError, refuse
 from tissueid.inference.estimates import REFERENCE_DEPTH
 from tissueid.inference.reported import reported_draws
 from tissueid.model.base import branch_suffix
@@ -132,8 +132,7 @@ def full_name(named: str, model: ChannelModel) -> str:
     name = ALIASES.get(base, base) + ending
     known = [*model.parameter_names, *viscosities(model)]
     if name not in known:
-        msg = f"unknown number {named!r}; this tissue has {', '.join(known)} (tau, eta and K for short)"
-        raise UsageError(msg)
+        refuse(f"unknown number {named!r}; this tissue has {', '.join(known)} (tau, eta and K for short)")
     return name
 
 
@@ -144,8 +143,7 @@ def _number(text: str, what: str) -> float:
         msg = f"{what}: {text!r} is no number"
         raise UsageError(msg) from error
     if not np.isfinite(value):
-        msg = f"{what}: {text!r} must be finite"
-        raise UsageError(msg)
+        refuse(f"{what}: {text!r} must be finite")
     return value
 
 
@@ -153,15 +151,13 @@ def parsed_want(text: str, model: ChannelModel) -> Want:
     """Want of ``relaxation_time_s=5%``."""
     match = _WANT.match(text)
     if match is None:
-        msg = f"--want {text!r}: write NAME=PERCENT%, as relaxation_time_s=5% or eta=2%"
-        raise UsageError(msg)
+        refuse(f"--want {text!r}: write NAME=PERCENT%, as relaxation_time_s=5% or eta=2%")
     name, share = full_name(match.group(1), model), _number(match.group(2), f"--want {text}") / 100.0
     if not FINEST_WANT <= share <= COARSEST_WANT:
-        msg = (
+        refuse(
             f"--want {text}: a standard deviation of {100 * FINEST_WANT:g} to {100 * COARSEST_WANT:g} % can "
             "be wanted; with a wider one fit would call a relaxation time not identified"
         )
-        raise UsageError(msg)
     return Want(name, share)
 
 
@@ -169,12 +165,10 @@ def parsed_guess(text: str) -> Guess:
     """Guess of ``relaxation_time_s=0.02~30%``, the spread being one standard deviation."""
     match = _GUESS.match(text)
     if match is None:
-        msg = f"--tissue {text!r}: write NAME=VALUE or NAME=VALUE~PERCENT%, as relaxation_time_s=0.02~30%"
-        raise UsageError(msg)
+        refuse(f"--tissue {text!r}: write NAME=VALUE or NAME=VALUE~PERCENT%, as relaxation_time_s=0.02~30%")
     spread = _number(match.group(3) or "0", f"--tissue {text}") / 100.0
     if not 0.0 <= spread <= WIDEST_GUESS:
-        msg = f"--tissue {text}: a spread of 0 to {100 * WIDEST_GUESS:g} % can be stated"
-        raise UsageError(msg)
+        refuse(f"--tissue {text}: a spread of 0 to {100 * WIDEST_GUESS:g} % can be stated")
     return Guess(match.group(1), _number(match.group(2), f"--tissue {text}"), float(np.log1p(spread)))
 
 
@@ -183,8 +177,7 @@ def of_draws(
 ) -> Tissues:
     """At most ``count`` of the draws, evenly spaced."""
     if model.branches == 0:
-        msg = f"{name}: this tissue has no relaxing branch, so there is no relaxation time to plan for"
-        raise UsageError(msg)
+        refuse(f"{name}: this tissue has no relaxing branch, so there is no relaxation time to plan for")
     theta = np.atleast_2d(theta)
     at = np.unique(np.linspace(0, theta.shape[0] - 1, min(count, theta.shape[0])).round().astype(int))
     return Tissues(words, name, model, theta[at], known_depth_mm)
@@ -201,36 +194,29 @@ def _guessed_model(guesses: Sequence[Guess], depth_mm: float) -> ChannelModel:
 def plain_guesses(guesses: Sequence[Guess], *, depth_mm: float | None, count: int) -> Tissues:
     """Draws around guesses: log-normal, by a fixed low-discrepancy sequence; what is not guessed is 0."""
     if depth_mm is None:
-        msg = "guesses say nothing of the depth: add --max-depth, in mm"
-        raise UsageError(msg)
+        refuse("guesses say nothing of the depth: add --max-depth, in mm")
     model = _guessed_model(guesses, depth_mm)
     known: dict[str, Guess] = {}
     for one in guesses:
         name = full_name(one.name, model)
         if name in known:
-            msg = f"--tissue {one.name} is given twice"
-            raise UsageError(msg)
+            refuse(f"--tissue {one.name} is given twice")
         if one.value <= 0.0 and not name.startswith(("static_2", "static_3", "stiffness_1", "stiffness_2")):
-            msg = f"--tissue {one.name}={one.value:g}: must be above 0"
-            raise UsageError(msg)
+            refuse(f"--tissue {one.name}={one.value:g}: must be above 0")
         known[name] = one
     if not any(name.startswith("static") for name in known):
-        msg = "--tissue says nothing of the static force: add --tissue static_1_N_per_mm=... (its slope)"
-        raise UsageError(msg)
+        refuse("--tissue says nothing of the static force: add --tissue static_1_N_per_mm=... (its slope)")
     for branch in range(model.branches):
         ending = branch_suffix(branch)
         if f"relaxation_time_s{ending}" not in known:
-            msg = f"--tissue relaxation_time_s{ending}=... is missing: nothing can be planned without it"
-            raise UsageError(msg)
+            refuse(f"--tissue relaxation_time_s{ending}=... is missing: nothing can be planned without it")
         either = [f"{base}{ending}" in known for base in ("viscosity_N_s_per_mm", "stiffness_0_N_per_mm")]
         if sum(either) != 1:
             both = f"viscosity_N_s_per_mm{ending} or stiffness_0_N_per_mm{ending}"
-            msg = f"--tissue needs one of {both}, {'and has both' if all(either) else 'and has none'}"
-            raise UsageError(msg)
+            refuse(f"--tissue needs one of {both}, {'and has both' if all(either) else 'and has none'}")
     theta = _guessed_draws(model, known, count)
     if not model.passive(theta).all():
-        msg = f"--tissue: such a tissue gives a negative force or stiffness within {depth_mm:g} mm"
-        raise UsageError(msg)
+        refuse(f"--tissue: such a tissue gives a negative force or stiffness within {depth_mm:g} mm")
     return Tissues("guesses", "guessed tissue", model, theta)
 
 
@@ -270,8 +256,7 @@ COARSE_HZ = 10.0
 def given_recipe(named: str) -> Recipe:
     """A built-in recipe, or one of a file."""
     if named not in RECIPES and not Path(named).is_file():
-        msg = f"{named}: no such recipe or file; recipes are {', '.join(sorted(RECIPES))}"
-        raise UsageError(msg)
+        refuse(f"{named}: no such recipe or file; recipes are {', '.join(sorted(RECIPES))}")
     return built_in(named) if named in RECIPES else load_recipe(named)
 
 
@@ -288,8 +273,7 @@ def of_bundle(path: Path, *, count: int) -> Tissues:
     bundle.require_renderable()
     model = bundle.contact_model()
     if not bundle.parameters:
-        msg = f"{path}: {bundle.model.key} has no parameters to plan for; fit a law"
-        raise UsageError(msg)
+        refuse(f"{path}: {bundle.model.key} has no parameters to plan for; fit a law")
     kind = "specimens of the population in" if bundle.is_population else "posterior draws of"
     words = f"{kind} {path}" if bundle.draws is not None else f"the optimum of {path}: it holds no draws"
     theta = bundle.theta if bundle.draws is None else bundle.draws

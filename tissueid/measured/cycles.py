@@ -286,12 +286,6 @@ def _with_changes(rows: list[Cycle]) -> tuple[Cycle, ...]:
     return tuple(done)
 
 
-def _touches(force: FloatArray, loop: Loop, noise: float) -> bool:
-    """True where the force at the end of loading stands out of its noise."""
-    near = force[max(loop.peak - LINE_SAMPLES, loop.start) : min(loop.peak + LINE_SAMPLES + 1, loop.stop)]
-    return float(np.median(near)) > RESIDUAL_SD * noise
-
-
 def cycle_rows(
     trial: Trial, segmentation: Segmentation, *, depths_mm: Sequence[float] = ()
 ) -> tuple[Cycle, ...]:
@@ -305,9 +299,11 @@ def cycle_rows(
         if not frame[0][loop.peak] > 0.0:
             continue
         # contact is that of the test: preconditioning comes before it, and so do moves through air
-        early = loop.peak <= contact.index
-        if early and not _touches(frame[1], loop, segmentation.force_noise_N):
-            continue
+        if loop.peak <= contact.index:
+            first, last = loop.peak - LINE_SAMPLES, loop.peak + LINE_SAMPLES + 1
+            near = frame[1][max(first, loop.start) : min(last, loop.stop)]
+            if not float(np.median(near)) > RESIDUAL_SD * segmentation.force_noise_N:
+                continue
         row = _row(trial, segmentation, frame, loop, len(rows) + 1, depths_mm)
         if row is not None:
             rows.append(row)

@@ -258,15 +258,11 @@ def _number(one: Spread, other: Spread, depths: Sequence[Mapping[int, float | No
         hold=one.hold,
         time_s=one.time_s,
         depth_mm=one.depth_mm,
-        one=_side(one),
-        other=_side(other),
+        one=Side(one.mean, one.sd, one.count, one.ramp_time_s),
+        other=Side(other.mean, other.sd, other.count, other.ramp_time_s),
         ratio=ratio,
         reason=reason or None,
     )
-
-
-def _side(row: Spread) -> Side:
-    return Side(row.mean, row.sd, row.count, row.ramp_time_s)
 
 
 def _reason(one: Spread, other: Spread, depths: Sequence[Mapping[int, float | None]]) -> str:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.documents import population as documents
@@ -232,12 +231,6 @@ def prediction_error(
     return rmsd / span, rmsd / mean
 
 
-def _folds(count: int, rng: np.random.Generator) -> list[NDArray[np.int64]]:
-    if count <= MOST_SINGLE:
-        return [np.array([i]) for i in range(count)]
-    return [np.sort(part) for part in np.array_split(rng.permutation(count), PARTS)]
-
-
 def held_out(
     members: Sequence[Member],
     draws: PopulationDraws,
@@ -248,7 +241,9 @@ def held_out(
     """Predict every specimen from the others; ``None`` without a curve, or with too few specimens."""
     if len(members) < 4 or not any(trial.curve is not None for one in members for trial in one.trials):
         return None
-    folds = _folds(len(members), rng)
+    folds = [np.array([i]) for i in range(len(members))]
+    if len(members) > MOST_SINGLE:
+        folds = [np.sort(part) for part in np.array_split(rng.permutation(len(members)), PARTS)]
     rows = []
     for fold, coefficient in zip(folds, typical_without(draws.chains, folds, rng), strict=True):
         for i in fold:
@@ -309,20 +304,20 @@ def _drawn(draws: PopulationDraws, count: int, rng: np.random.Generator) -> Floa
 
 
 def predictive_specimens(
-    draws: PopulationDraws, coordinates: Coordinates, rng: np.random.Generator, count: int = SPECIMENS
+    draws: PopulationDraws, coordinates: Coordinates, rng: np.random.Generator
 ) -> Predictive:
     """Specimens of the population, and its typical one."""
     kept: list[FloatArray] = []
     found = refused = tried = 0
-    while found < count and tried < MOST_TRIES:
+    while found < SPECIMENS and tried < MOST_TRIES:
         # a specimen that overflows is as little passive as one with a negative force
         with np.errstate(over="ignore", invalid="ignore"):
-            theta = coordinates.to_theta(_drawn(draws, min(BATCH, 2 * count), rng))
+            theta = coordinates.to_theta(_drawn(draws, BATCH, rng))
             finite = np.asarray(np.isfinite(theta).all(axis=1))
             theta = np.where(finite[:, None], theta, 0.0)
             good = np.asarray(coordinates.passive(theta) & finite)
         tried += len(theta)
-        rows = np.flatnonzero(good)[: count - found]
+        rows = np.flatnonzero(good)[: SPECIMENS - found]
         used = int(rows[-1]) + 1 if good.sum() > rows.size else len(good)
         kept.append(theta[rows])
         found += rows.size
@@ -482,14 +477,13 @@ class CohortFit:
 
 
 def cohort(
-    members: Sequence[Member], options: CohortOptions | None = None, tick: Callable[[str], None] | None = None
+    members: Sequence[Member], options: CohortOptions, tick: Callable[[str], None] = lambda _: None
 ) -> CohortFit:
     """The population behind specimens.
 
     ``members``: those that can't stand in one population are named in ``left_out``; ``tick``: told what is
     being done.  Raises UsageError: a covariate that no specimen states, or that is the same for all.
     """
-    options, tick = options or CohortOptions(), tick or (lambda _: None)
     kept, left = fit_for_cohort(members)
     confounding = confounding_of([[trial.speed_mm_s for trial in one.trials] for one in members])
     order = order_effect(members)
@@ -531,12 +525,15 @@ def _population(
         fresh = np.random.default_rng([options.sampler.seed, 3])
         predicted = held_out(members, draws, described.design, coordinates, fresh)
     law, correlation = coordinates.model, draws.correlation.reshape(-1, coordinates.size, coordinates.size)
+    heavy = None
+    if np.isfinite(draws.nu).all():
+        heavy = documents.DegreesOfFreedom(float(np.median(draws.nu)), interval_95(draws.nu))
     told = documents.Populations(
         model=documents.Model(law.branches, law.stiffness_degree, law.name),
         depth_mm=coordinates.depth_mm,
         quantities=quantity_rows(draws, coordinates, described, instrument, rng),
         correlation=np.clip(np.median(correlation, axis=0), -1.0, 1.0).tolist(),
-        degrees_of_freedom=_degrees_of_freedom(draws),
+        degrees_of_freedom=heavy,
         groups=described.groups,
         effects=effect_rows(draws, coordinates, described),
         specimens=specimen_rows(members, stage, draws, coordinates),
@@ -549,13 +546,6 @@ def _population(
         sampler=_sampler(draws),
     )
     return Population(coordinates, draws, predictive, told)
-
-
-def _degrees_of_freedom(draws: PopulationDraws) -> documents.DegreesOfFreedom | None:
-    """Those of the t distribution; ``None`` of a normal population."""
-    if not np.isfinite(draws.nu).all():
-        return None
-    return documents.DegreesOfFreedom(float(np.median(draws.nu)), interval_95(draws.nu))
 
 
 def _sampler(draws: PopulationDraws) -> documents.Sampler:

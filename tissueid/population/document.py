@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import structs
 
 from tissueid import __version__
+from tissueid.arrays import evenly
 from tissueid.documents import typed
 from tissueid.documents.identification import Identification, Specimen, StatedTrial, Trial
 from tissueid.documents.population import Population, Provenance
@@ -39,7 +40,7 @@ def members_of(
     trials = {(row.path, row.sheet): row for row in study.trials} if study else {}
     count = len(document.specimens)
     most = max(MOST_DRAWS_IN_ALL // max(count, 1), FEWEST_DRAWS)
-    with_curves = set(np.linspace(0, count - 1, min(count, MOST_WITH_CURVES)).astype(int).tolist())
+    with_curves = set(evenly(count, MOST_WITH_CURVES).tolist())
     members = []
     for place, (entry, curves, posterior) in enumerate(results):
         known = {"operator": study and study.study.operator} | covariates.get(entry.specimen, {})
@@ -54,7 +55,10 @@ def members_of(
                 depth_mm=validity.depth_mm,
                 **_draws(posterior, most, key=entry.model.key),
                 covariates=known,
-                trials=tuple(_trial(trial, trials, drawn) for trial in entry.trials),
+                trials=tuple(
+                    _trial(one, trials.get((one.path, one.sheet)), drawn.get((one.path, one.sheet)))
+                    for one in entry.trials
+                ),
                 speeds_mm_s=(slowest, fastest),
                 tip_radius_mm=validity.tip_radius_mm,
                 sigma_N=entry.sigma_N,
@@ -70,9 +74,7 @@ def _draws(posterior: StoredPosterior | None, most: int, *, key: str) -> dict[st
         return {"draws": np.empty((0, 0)), "log_prior": None, "draws_total": None}
 
     def thin(values: Any) -> Any:
-        if values is None:
-            return None
-        return values[np.linspace(0, len(values) - 1, min(most, len(values))).astype(int)].copy()
+        return None if values is None else values[evenly(len(values), most)].copy()
 
     prior = posterior.log_prior
     if key != KELVIN_VOIGT and prior is not None and not prior.any():
@@ -85,14 +87,8 @@ def _draws(posterior: StoredPosterior | None, most: int, *, key: str) -> dict[st
     }
 
 
-def _trial(
-    trial: Trial,
-    rows: Mapping[tuple[str, str | None], StatedTrial],
-    curves: Mapping[tuple[str, str | None], Curve],
-) -> TrialRow:
+def _trial(trial: Trial, said: StatedTrial | None, curve: Curve | None) -> TrialRow:
     """One log, with what the study says of it."""
-    key = (trial.path, trial.sheet)
-    said = rows.get(key)
     return TrialRow(
         path=trial.path,
         sheet=trial.sheet,
@@ -101,7 +97,7 @@ def _trial(
         depth_mm=trial.depth_mm,
         run=None if said is None else said.run,
         site=None if said is None else said.site,
-        curve=curves.get(key),
+        curve=curve,
     )
 
 
@@ -153,7 +149,7 @@ def population_bundle(fit: CohortFit, said: Provenance) -> Bundle | None:
     if found is None or len(found.predictive.theta) < 2:
         return None
     coordinates, theta = found.coordinates, found.predictive.theta
-    rows = np.linspace(0, len(found.draws.mean) - 1, min(KEPT_DRAWS, len(found.draws.mean))).astype(int)
+    rows = evenly(len(found.draws.mean), KEPT_DRAWS)
     mean = found.draws.mean[rows]
     # t tails of few degrees of freedom have no variance: the covariance is that of the central 99 %
     low, high = np.quantile(theta, [0.005, 0.995], axis=0)

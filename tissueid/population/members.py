@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, evenly
 from tissueid.documents.population import LeftOut
-from tissueid.errors import UsageError
+from tissueid.errors import refuse
 from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import KELVIN_VOIGT, rebuilt
 from tissueid.population.coordinates import Coordinates
@@ -167,33 +167,27 @@ def stage_one(members: Sequence[Member], coordinates: Coordinates) -> tuple[Stag
     reference: list[FloatArray] = []
     floored: dict[str, int] = {}
     for one in members:
-        rows = np.linspace(0, len(one.draws) - 1, min(most, len(one.draws))).astype(np.int64)
+        rows = evenly(len(one.draws), most)
         values, low = coordinates.to_phi(one.draws[rows])
         assert one.log_prior is not None  # noqa: S101 -- fit_for_cohort saw to it
         phi.append(values.astype(np.float32))
         reference.append(one.log_prior[rows] + coordinates.log_jacobian(values))
         if low:
             floored[one.specimen] = low
-    linear = _more_even_itself(phi)
+    # Noise leaves a force open by so many N: it may be next to nothing.  A gain leaves it open by a factor: a
+    # normal of the force itself, wide enough for its high draws, would then make no force at all likely too.
+    away = np.array([np.quantile(one, _TAILS, axis=0) - np.median(one, axis=0) for one in phi], np.float64)
+    logarithm, itself = (_unevenness(scale) for scale in (away, np.expm1(away)))
+    linear = itself <= logarithm
     linear[coordinates.shapes] = False
     return StageOne(tuple(phi), tuple(reference), linear, coordinates.times), floored
 
 
-def _more_even_itself(phi: Sequence[NDArray[Any]]) -> NDArray[np.bool_]:
-    """True where draws are nearer to even about their median in the quantity than in its logarithm.
-
-    Noise leaves a force open by so many N: it may be next to nothing.  A gain leaves it open by a factor: a
-    normal of the force itself, wide enough for its high draws, would then make no force at all likely too.
-    """
-    away = np.array([np.quantile(one, _TAILS, axis=0) - np.median(one, axis=0) for one in phi], np.float64)
-    logarithm, itself = (np.abs(_unevenness(scale)).sum(axis=0) for scale in (away, np.expm1(away)))
-    return np.asarray(itself <= logarithm)
-
-
 def _unevenness(away: FloatArray) -> FloatArray:
-    """Skewness by quantiles, -1 to 1, from distances to the median, (n, 2, p); 0 where all are equal."""
+    """Sum of skewness by quantiles, 0 to 1 each, from distances to the median (n, 2, p)."""
     span = np.ptp(away, axis=1)
-    return np.asarray(np.divide(away.sum(axis=1), span, out=np.zeros_like(span), where=span > 0.0))
+    skewness = np.divide(away.sum(axis=1), span, out=np.zeros_like(span), where=span > 0.0)
+    return np.asarray(np.abs(skewness).sum(axis=0))
 
 
 #: Keys of a study that make random effects where they gather specimens.
@@ -220,8 +214,7 @@ def _values(members: Sequence[Member], key: str) -> list[Any]:
             {name for one in members for name, value in one.covariates.items() if value is not None}
         )
         there = ", ".join(known) if known else "none: the run had no study"
-        msg = f"no specimen states {key!r}; stated are {there}"
-        raise UsageError(msg)
+        refuse(f"no specimen states {key!r}; stated are {there}")
     return values
 
 
@@ -230,8 +223,7 @@ def _indicators(values: Sequence[Any], key: str) -> tuple[list[FloatArray], list
     names = [NOT_STATED if value is None else str(value) for value in values]
     groups = tuple(sorted(set(names), key=lambda name: (-names.count(name), name)))
     if len(groups) < 2:
-        msg = f"all specimens have {key} = {groups[0]!r}: there is nothing to compare"
-        raise UsageError(msg)
+        refuse(f"all specimens have {key} = {groups[0]!r}: there is nothing to compare")
     columns, titles = [], []
     for group in groups[1:]:
         column = np.array([name == group for name in names], dtype=np.float64)
@@ -261,8 +253,7 @@ def design_of(members: Sequence[Member], group_by: str | None, covariates: Seque
         numbers = np.array([np.nan if value is None else float(value) for value in values])
         mean, sd = float(np.nanmean(numbers)), float(np.nanstd(numbers))
         if not sd > 0.0:
-            msg = f"all specimens have {key} = {mean:g}: it explains nothing"
-            raise UsageError(msg)
+            refuse(f"all specimens have {key} = {mean:g}: it explains nothing")
         scales[key] = (mean, sd)
         missing[key] = tuple(
             one.specimen for one, value in zip(members, values, strict=True) if value is None

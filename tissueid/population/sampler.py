@@ -223,13 +223,12 @@ def _met(found: dict[str, Diagnostics]) -> bool:
 def sample_population(
     stage: StageOne,
     design: Design,
-    priors: PopulationPriors | None = None,
-    options: SamplerOptions | None = None,
-    tick: Callable[[str], None] | None = None,
+    priors: PopulationPriors | None,
+    options: SamplerOptions,
+    tick: Callable[[str], None] = lambda _: None,
 ) -> PopulationDraws:
     """Draw the population behind specimens."""
-    priors, options = priors or PopulationPriors(), options or SamplerOptions()
-    tick = tick or (lambda _: None)
+    priors = priors or PopulationPriors()
     hyper = _hyper(priors, design, stage.size, options.tails)
     known: dict[int, Mixture] = {}
     rng = np.random.default_rng([options.seed, 0])

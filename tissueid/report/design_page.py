@@ -63,12 +63,9 @@ def _trace(
 ) -> dict[str, Any]:
     minutes = [one.seconds / MINUTE for _, one in points]
     assured = [100.0 * one.precision[want].assured for _, one in points]
-    words, moves = (
-        [said for said, _ in points],
-        [_indentations(one).replace("; ", "<br>") for _, one in points],
-    )
+    moves = [_indentations(one).replace("; ", "<br>") for _, one in points]
     form = "%{text}: %{y:.3g} % in %{x:.4g} min<br>%{customdata}<extra></extra>"
-    told = {"text": words, "customdata": moves, "hovertemplate": form}
+    told = {"text": [said for said, _ in points], "customdata": moves, "hovertemplate": form}
     return trace(minutes, assured, mode, name=name, **told, **look)
 
 

@@ -155,23 +155,25 @@ def _with_viscosity(names: Sequence[str], draws: FloatArray, depth_mm: float) ->
 
 
 def _of_one(specimen: Specimen, stored: StoredPosterior, most: int, steps: int) -> dict[str, Any]:
-    entries = reported_order(specimen.parameters)
-    depth_mm = specimen.validity.depth_mm
+    entries = [
+        entry
+        for entry in reported_order(specimen.parameters)
+        if entry.name in stored.theta_names or entry.name.startswith("viscosity")
+    ]
 
     def table(draws: FloatArray) -> dict[str, Any]:
-        columns = _with_viscosity(stored.theta_names, draws[evenly(len(draws), most)], depth_mm)
+        kept_draws = draws[evenly(len(draws), most)]
+        columns = _with_viscosity(stored.theta_names, kept_draws, specimen.validity.depth_mm)
         kept = [columns[entry.name] for entry in entries if entry.name in columns]
         return {**quantised(np.column_stack(kept)), "count": len(kept[0])}
 
     chain = stored.chain[evenly(stored.chain.shape[0], _CHAINS)]
     chain = chain[:, evenly(chain.shape[1], steps)]
-    available = {*stored.theta_names, *(e.name for e in entries if e.name.startswith("viscosity"))}
     return {
-        "names": [entry.name for entry in entries if entry.name in available],
+        "names": [entry.name for entry in entries],
         "labels": [
             f"{entry.symbol} [{unit_words(entry.unit)}]" + ("" if entry.identified else ", not identified")
             for entry in entries
-            if entry.name in available
         ],
         "draws": table(stored.draws),
         "total": None if stored.draws_total is None else table(stored.draws_total),
@@ -188,9 +190,8 @@ def posterior_payload(
 ) -> list[dict[str, Any] | None]:
     """Draws of every specimen, in their order, packed; ``None`` where nothing was sampled.
 
-    Returns ``names``, ``labels`` (with units),
-    ``draws`` and ``total`` (with the count of each) and ``chain`` (names, shape; a column a coordinate, by
-    chain and draw), all three as :func:`~tissueid.report.figures.quantised` packs them.
+    Returns ``names``, ``labels`` (with units), ``draws`` and ``total`` (with the count of each) and ``chain``
+    (names, shape; a column a coordinate, by chain and draw), all three as :func:`quantised` packs them.
     """
     by_name = {one.specimen: one for one in posteriors}
     fewest, largest = _DRAWS_OF_ONE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
@@ -43,11 +43,6 @@ class DrawnRecording:
     marks: dict[str, Any]  # contact, corners and events, in the words of the page's script
 
 
-def _around(indices: Iterable[int], size: int) -> NDArray[np.intp]:
-    near = np.array([i + k for i in indices for k in range(-_AROUND, _AROUND + 1)], dtype=np.intp)
-    return np.unique(near[(near >= 0) & (near < size)])
-
-
 def drawn_recording(trial: Trial, segmentation: Segmentation) -> DrawnRecording:
     """Thin a recording for drawing."""
     force, x, size = trial.force_N, trial.displacement_mm, trial.time_s.size
@@ -59,7 +54,8 @@ def drawn_recording(trial: Trial, segmentation: Segmentation) -> DrawnRecording:
     edges += [phase.peak for phase in segmentation.phases if phase.peak is not None]
     if contact is not None:
         edges.append(min(contact.index, size - 1))
-    fixed = np.union1d(_around(sharp[: MOST_OF_ONE // 20], size), np.array(edges, dtype=np.intp))
+    near = [i + k for i in sharp[: MOST_OF_ONE // 20] for k in range(-_AROUND, _AROUND + 1)]
+    fixed = np.unique([i for i in near if 0 <= i < size] + edges)
     index = kept_samples((force, x), MOST_OF_ONE, MOST_OF_ONE, fixed.tolist())
     places = np.searchsorted(index, [(phase.start, phase.stop - 1) for phase in segmentation.phases])
     phases = tuple(

@@ -206,11 +206,6 @@ class SpeedGroup(NamedTuple):
     members: tuple[int, ...]  # places among the trials that have a curve
 
 
-def _label(speed: float, units: Units) -> str:
-    text = f"{number(speed, 3)} {speed_unit(units)}"
-    return text if units.length != "mm" else f"{text} ({number(S_PER_MIN * speed, 3)} mm/min)"
-
-
 def speed_groups(specimen: Specimen, trials: Sequence[Trial]) -> list[SpeedGroup]:
     """Groups of trials, of those that have a curve, by loading speed, the slowest first."""
     speeds = [float(trial.speed_mm_s) for trial in trials]
@@ -224,7 +219,9 @@ def speed_groups(specimen: Specimen, trials: Sequence[Trial]) -> list[SpeedGroup
     groups = []
     for members in alike:
         speed = float(np.median([speeds[i] for i in members]))
-        groups.append(SpeedGroup(speed, _label(speed, specimen.units), tuple(sorted(members))))
+        label = f"{number(speed, 3)} {speed_unit(specimen.units)}"
+        label += f" ({number(S_PER_MIN * speed, 3)} mm/min)" * (specimen.units.length == "mm")
+        groups.append(SpeedGroup(speed, label, tuple(sorted(members))))
     return groups
 
 

@@ -96,13 +96,6 @@ def _choice_words(specimen: Specimen, run: Provenance) -> str:
     return f"{told} that were held out" + "".join(f"; {one} was set in advance" for one in given) + "."
 
 
-def _noise_words(specimen: Specimen, run: Provenance) -> str:
-    noise = specimen.noise
-    assumed = _NOISE[noise.model] if noise is not None else _NOISE["white"]
-    found = " (found from the residuals)" if run.options.get("noise") == "auto" else ""
-    return f"under {assumed} of the force{found}"
-
-
 def _missed_words(specimen: Specimen) -> str:
     """Words on the misfit beside the noise, and its effect on the intervals."""
     noise = specimen.noise
@@ -130,11 +123,13 @@ def _decided_words(run: Provenance) -> str:
 
 
 def _fit_words(specimen: Specimen, run: Provenance) -> str:
-    model = specimen.model
+    model, noise = specimen.model, specimen.noise
+    assumed = _NOISE["white" if noise is None else noise.model]
+    found = " (found from the residuals)" if run.options.get("noise") == "auto" else ""
     return (
         f"The static force was {_POOLING[model.static_pooling]}. {_choice_words(specimen, run)} The "
         f"model was fitted to the recorded displacement through its whole history by "
-        f"{specimen.optimisers.method}, {_noise_words(specimen, run)}, within the set of passive "
+        f"{specimen.optimisers.method}, under {assumed} of the force{found}, within the set of passive "
         "tissues (F_s and K nowhere negative on the fitted depth). A relaxation time is reported where its "
         "95 % profile-likelihood interval is closed and narrower than a factor e."
         f"{_missed_words(specimen)}{_decided_words(run)}"

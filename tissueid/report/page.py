@@ -156,12 +156,10 @@ def plotly_script() -> Markup:
     return Markup(zlib.decompress(_library(), -zlib.MAX_WBITS).decode("utf-8"))  # noqa: S704
 
 
-def render_plain(title: str, sections: Sequence[Section], *, created: str | None = None) -> str:
+def render_plain(title: str, sections: Sequence[Section]) -> str:
     """Write a page."""
     figures = [figure for section in sections for figure in section.figures]
-    return render_page(
-        "plain", title=title, sections=sections, figures=figures, data="figures", created=created
-    )
+    return render_page("plain", title=title, sections=sections, figures=figures, data="figures", created=None)
 
 
 def few_values(specimen: Specimen) -> list[Estimate | None]:
@@ -298,7 +296,9 @@ def render_report(
     stamp to print; ``script_file``: of :func:`render_page`; ``digest``: SHA-256 of identification.json.
     """
     specimens = identification.specimens
-    units = _common_units(specimens)
+    units = specimens[0].units if specimens else None
+    if any(specimen.units != units for specimen in specimens):
+        units = None
     shown = [*renderings, *[None] * (len(specimens) - len(renderings))]
     views = [
         _view(position, specimen, identification, rendering)
@@ -341,11 +341,6 @@ def _payload(
         "units": [plain(specimen.units) for specimen in specimens],
         "overview": _overview(specimens),
     }
-
-
-def _common_units(specimens: Sequence[Specimen]) -> Units | None:
-    units = [specimen.units for specimen in specimens]
-    return units[0] if units and all(one == units[0] for one in units) else None
 
 
 def _title(specimens: Sequence[Specimen]) -> str:

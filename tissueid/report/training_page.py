@@ -23,12 +23,7 @@ HEADS = (
 )  # fmt: skip
 
 
-def render_training(
-    document: Training,
-    tracks: Mapping[str, tuple[Sequence[float], Sequence[float]]],
-    *,
-    created: str | None = None,
-) -> str:
+def render_training(document: Training, tracks: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> str:
     """Write the page.
 
     ``tracks``: file of an attempt -> height above the entry point and distance from the axis [mm].
@@ -38,7 +33,7 @@ def render_training(
     if document.refused:
         rows = [(one.file, one.reason) for one in document.refused]
         sections.append(Section("Logs without an attempt", tables=[Table(("Log", "Why"), rows)]))
-    return render_plain("Guided sessions", sections, created=created)
+    return render_plain("Guided sessions", sections)
 
 
 def _person(

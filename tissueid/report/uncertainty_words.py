@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from tissueid.digits import NOT_IDENTIFIED, number, together, with_error
@@ -78,21 +78,15 @@ def reported_order(parameters: Sequence[Estimate]) -> list[Estimate]:
 
 def _rows(specimen: Specimen, columns: Sequence[str], *, bare: bool = False) -> list[IntervalRow]:
     """Parameters with these intervals, ``bare`` without any error; what is not identified shares a row."""
-    rows: list[IntervalRow] = []
-    unknown: dict[str, list[str]] = {}
+    rows: dict[str, IntervalRow] = {}
     for entry in reported_order(specimen.parameters):
         kind = next(words for start, words in _KINDS.items() if entry.name.startswith(start))
         if entry.identified:
-            rows.append(_row(entry, kind, columns, bare=bare))
-            continue
-        if kind not in unknown:
-            unknown[kind] = []
-            rows.append(IntervalRow(kind, (), "", NOT_IDENTIFIED, ()))
-        unknown[kind].append(entry.symbol)
-    return [
-        replace(row, symbols=tuple(unknown[row.words])) if row.value == NOT_IDENTIFIED else row
-        for row in rows
-    ]
+            rows[entry.name] = _row(entry, kind, columns, bare=bare)
+        else:
+            symbols = (*(rows[kind].symbols if kind in rows else ()), entry.symbol)
+            rows[kind] = IntervalRow(kind, symbols, "", NOT_IDENTIFIED, ())
+    return list(rows.values())
 
 
 def _row(entry: Estimate, words: str, columns: Sequence[str], *, bare: bool) -> IntervalRow:

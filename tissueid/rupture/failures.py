@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, evenly
 from tissueid.documents.rupture import Limit, Measures
 from tissueid.documents.rupture import Test as Failure
 from tissueid.model.base import ContactPath
@@ -58,7 +58,8 @@ def loaded_test(trial: Trial, segmentation: Segmentation) -> LoadedTest | None:
     depth, force = contact_frame(trial, segmentation)
     event = next((one for one in segmentation.events if one.kind == "rupture"), None)
     last = int(np.argmax(depth)) if event is None else event.index
-    first = _first_in_contact(depth, last, segmentation.contact.index)
+    below = np.flatnonzero(depth[segmentation.contact.index : last + 1] > 0.0)
+    first = segmentation.contact.index + int(below[0]) if below.size else last
     if last - first + 1 < FEWEST_SAMPLES or not depth[last] > 0.0:
         return None
     time, x, f = (values[first : last + 1] for values in (trial.time_s, depth, force))
@@ -76,7 +77,7 @@ def loaded_test(trial: Trial, segmentation: Segmentation) -> LoadedTest | None:
         work += half * (peak + 0.5 * half * slope)
         peak += half * slope
         residual = min(max(1.0 - event.values["drop_N"] / event.values["force_before_N"], 0.0), 1.0)
-    keep = np.unique(np.linspace(0, x.size - 1, min(x.size, PATH_SAMPLES)).astype(int))
+    keep = evenly(x.size, PATH_SAMPLES)
     return LoadedTest(
         path=trial.source.path,
         sheet=trial.source.sheet,
@@ -91,12 +92,6 @@ def loaded_test(trial: Trial, segmentation: Segmentation) -> LoadedTest | None:
         speed_mm_s=speed,
         residual=residual,
     )
-
-
-def _first_in_contact(depth_mm: FloatArray, last: int, start: int) -> int:
-    """First sample of the contact that is below the surface."""
-    below = np.flatnonzero(depth_mm[start : last + 1] > 0.0)
-    return start + int(below[0]) if below.size else last
 
 
 def _end_line(depth_mm: FloatArray, force_N: FloatArray) -> tuple[float, float]:

@@ -17,9 +17,9 @@ import numpy as np
 
 from tissueid.decided import as_decided
 from tissueid.documents import plain, typed
-from tissueid.documents.rupture import Change, LeftOut, Rupture
+from tissueid.documents.rupture import LeftOut, Rupture
 from tissueid.documents.rupture import Test as Failure
-from tissueid.errors import InputError, NotIdentifiedError, UsageError
+from tissueid.errors import InputError, NotIdentifiedError, UsageError, refuse
 from tissueid.manifest import Study
 from tissueid.model.grammar import KELVIN_VOIGT, ModelNameError, candidates, rebuilt
 from tissueid.pipeline import IdentifyOptions, identify, with_model
@@ -125,8 +125,7 @@ def _refuse_yardstick(name: str) -> None:
     except ModelNameError as error:
         raise UsageError(str(error)) from None
     if laws.paper is None and all(one.mark for one in laws.laws):
-        msg = f"{name} has no parameters to quote: name a law of `tissueid models` for a rupture"
-        raise UsageError(msg)
+        refuse(f"{name} has no parameters to quote: name a law of `tissueid models` for a rupture")
 
 
 def _nothing_fitted(identification: Identification) -> InputError:
@@ -172,17 +171,15 @@ def _changes(study: RuptureStudy) -> list[str]:
         return ["No effect of speed on rupture is claimed."]
     if not study.changes:
         return ["No specimen ruptured at two speeds often enough to say what speed does."]
-    return [_change(one) for one in study.changes]
-
-
-def _change(one: Change) -> str:
-    percent = 100.0 * (one.ratio - 1.0)
-    low, high = (100.0 * (end - 1.0) for end in one.ci95)
-    said = "may fall or rise" if one.direction == "undecided" else one.direction
-    return (
-        f"{_NAMES[one.quantity]} at rupture {said} with speed: {percent:+.1f} % at ten times the speed "
-        f"(95 %: {low:+.1f} to {high:+.1f} %), inside specimens."
-    )
+    found = []
+    for one in study.changes:
+        percent, low, high = (100.0 * (ratio - 1.0) for ratio in (one.ratio, *one.ci95))
+        said = "may fall or rise" if one.direction == "undecided" else one.direction
+        found.append(
+            f"{_NAMES[one.quantity]} at rupture {said} with speed: {percent:+.1f} % at ten times the speed "
+            f"(95 %: {low:+.1f} to {high:+.1f} %), inside specimens."
+        )
+    return found
 
 
 def _absorbed(study: RuptureStudy) -> str:
@@ -272,14 +269,12 @@ def write_rupture(out: Path, run: Callable[[], RuptureRun]) -> dict[str, Any]:
 def refuse_foreign(out: Path) -> None:
     """A fit's outputs, and files that nobody of ours wrote, stay where they are."""
     if (out / IDENTIFICATION).exists():
-        msg = f"{out} holds the outputs of `tissueid fit`, which this would replace: choose another folder"
-        raise UsageError(msg)
+        refuse(f"{out} holds the outputs of `tissueid fit`, which this would replace: choose another folder")
     if (out / ".current").exists() or not out.is_dir():
         return
     foreign = sorted(path.name for name in (RUPTURE, PAGE, "bundle*.h5") for path in out.glob(name))
     if foreign:
-        msg = (
+        refuse(
             f"{out} holds {', '.join(foreign)} that tissueid did not write there: choose another folder "
             "with -o, or move them away"
         )
-        raise UsageError(msg)

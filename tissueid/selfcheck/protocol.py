@@ -19,7 +19,7 @@ from tissueid.arrays import FloatArray
 from tissueid.collection import display_names
 from tissueid.decided import as_decided
 from tissueid.documents.identification import NoiseFit
-from tissueid.errors import BundleError, InputError, UsageError
+from tissueid.errors import BundleError, InputError, refuse
 from tissueid.inference.specimen import FitOptions
 from tissueid.inference.window import GUARD_SD
 from tissueid.manifest import Study
@@ -294,12 +294,10 @@ def _chosen(
         message = "holds no recording in which the tool meets a tissue"
         raise InputError(code="no_contact", message=message, path=where)
     if specimen is None and len(names) > 1:
-        msg = f"{where} holds {len(names)} specimens: choose one with --specimen: {', '.join(names)}"
-        raise UsageError(msg)
+        refuse(f"{where} holds {len(names)} specimens: choose one with --specimen: {', '.join(names)}")
     name = specimen or next(iter(names))
     if name not in names:
-        msg = f"{where} holds no specimen {name!r}; there are {', '.join(names)}"
-        raise UsageError(msg)
+        refuse(f"{where} holds no specimen {name!r}; there are {', '.join(names)}")
     return name, names[name]
 
 
@@ -327,8 +325,7 @@ def of_recordings(
         raise InputError(code="no_contact", message=message, path=where)
     protocol, fit = _protocol(own, study), found.specimens[0]
     if not fit.parameters or rebuilt(fit.model, fit.depth_mm).fixed_s.size:
-        msg = f"{fit.model.name or fit.model.key} can't be checked: its times follow the recordings"
-        raise UsageError(msg)
+        refuse(f"{fit.model.name or fit.model.key} can't be checked: its times follow the recordings")
     return name, protocol, of_fit(fit, logs=len(protocol.logs))
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tissueid.arrays import FloatArray
-from tissueid.errors import UsageError
+from tissueid.errors import refuse
 from tissueid.own_process import end_with_parent
 from tissueid.store.files import write_file
 
@@ -133,16 +133,14 @@ class Checkpoint:
             return header
         lines = whole.splitlines(keepends=True)
         if not lines or lines[0] != header:
-            msg = (
+            refuse(
                 f"{self.path} holds the simulations of another check (other data, options, seed or version): "
                 "choose another folder with -o, or delete that file to begin anew"
             )
-            raise UsageError(msg)
         for line in lines[1:]:
             record = _record_of_line(line)
             if record is None:
-                msg = f"{self.path} is damaged: delete it to begin anew, or choose another folder with -o"
-                raise UsageError(msg)
+                refuse(f"{self.path} is damaged: delete it to begin anew, or choose another folder with -o")
             self.records[record.index] = record
         return whole
 

@@ -282,17 +282,11 @@ def check_document(
             "seed": asked.seed,
             "sampler": PosteriorOptions().sampler,
             "median_seconds": float(np.median([record.seconds for record in good])),
-            "detail": _details(good),
+            "detail": {
+                name: float(np.mean([record.detail[name] for record in good if name in record.detail]))
+                for name in dict.fromkeys(name for record in good for name in record.detail)
+            },
         },
         **verdict.as_json(),
         "provenance": {"tissueid": __version__},
     }, verdict
-
-
-def _details(records: Sequence[Record]) -> Mapping[str, float]:
-    """Mean over the simulations of what was kept of each."""
-    names = dict.fromkeys(name for record in records for name in record.detail)
-    return {
-        name: float(np.mean([record.detail[name] for record in records if name in record.detail]))
-        for name in names
-    }

@@ -164,8 +164,10 @@ def assemble(run: OutputSet, index: Index, request: Request) -> Assembled:
             list_specimens(parts.gather(), stream)
         for job in index.jobs("failed"):
             parts.refuse(Refusal(**json.loads(job.reason or "{}")))
-        for refusal in _unmatched(index, study):
-            parts.refuse(refusal)
+        if study is not None and any(entry.sheet is not None for entry in study.entries):
+            decisions: Any = dict.fromkeys(index.named())
+            for refusal in unmatched_sheets(study, Collected(decisions=decisions), ()):
+                parts.refuse(refusal)
         for row in taken_out:
             parts.exclusions.add(row)
             found.exclusions.append(row)
@@ -201,13 +203,6 @@ def _refusals_of_readers(index: Index, study: Study | None) -> tuple[list[Refusa
 
     rows = exclusion_rows(collected, {}, (), IdentifyOptions().fit, never)
     return kept, [plain(row) for row in rows]
-
-
-def _unmatched(index: Index, study: Study | None) -> list[Refusal]:
-    if study is None or all(entry.sheet is None for entry in study.entries):
-        return []
-    decisions: Any = dict.fromkeys(index.named())
-    return unmatched_sheets(study, Collected(decisions=decisions), ())
 
 
 def _check_frame(document: Mapping[str, Any]) -> None:
@@ -303,13 +298,18 @@ class _Cohort:
                 self.request.all_read()
             self._plan()
             if at_once is not None:
-                self._keep_at_once(at_once)
+                for job in self.index.jobs("waiting"):
+                    result = result_of(at_once, shown=job.specimen, options=self.request.options)
+                    self._keep(job, specimen_bytes(result), 0.0)
             if self.large:
                 begin_pages(self.run.out)
             self._compute(workplace)
             if self._agree():
                 self._compute(workplace)
-                self._leave_failed()
+                for job in self.index.jobs("failed"):
+                    if job.position in self.orders:
+                        # its own order, where that of the study could not be fitted
+                        self.index.restore(job.position, self._spare(job.position))
             if self.large:
                 self._make_pages(workplace)
         self.progress("putting the results together", 0, 0)
@@ -405,12 +405,6 @@ class _Cohort:
         """Place of the job that a specimen had alone."""
         return len(self.specimens) + position
 
-    def _leave_failed(self) -> None:
-        """Leave a specimen its own order where that of the study could not be fitted."""
-        for job in self.index.jobs("failed"):
-            if job.position in self.orders:
-                self.index.restore(job.position, self._spare(job.position))
-
     def _plan(self) -> None:
         """One job a specimen; those whose result is there, whole, are done."""
         self.specimens = self.index.specimens()
@@ -428,12 +422,6 @@ class _Cohort:
         whole = path.is_file() and path.stat().st_size == size and sha256_of(path) == digest
         name = self.names[self.specimens[position][0]]
         return JobRow(position, key, name, "done" if whole else "waiting", None)
-
-    def _keep_at_once(self, identification: Identification) -> None:
-        """Put down the specimen that was fitted while it was read."""
-        for job in self.index.jobs("waiting"):
-            result = result_of(identification, shown=job.specimen, options=self.request.options)
-            self._keep(job, specimen_bytes(result), 0.0)
 
     def _keep(self, job: JobRow, content: bytes, seconds: float) -> None:
         write_file(specimen_path(self.run.out, job.key), content)

@@ -61,7 +61,9 @@ def write_population(
         document = as_document(fit, options, source=source)
         written = plain(document)
         if fit.population is None:
-            raise NotIdentifiedError(_no_population(document))
+            left = "".join(f"; {printable(row.specimen)}: {row.reason}" for row in document.left_out)
+            msg = f"no population: {document.reason}{left}"
+            raise NotIdentifiedError(msg)
         check(written, "population", where=_DOCUMENT)
         progress("writing the report", 0, 0)
         run.carry_over(but=POPULATION_FILES)
@@ -84,9 +86,3 @@ def _refuse_mixed(thawed: list[str], fresh: list[str]) -> None:
             "tissueid cohort --group-by storage compares them"
         )
         raise NotIdentifiedError(msg)
-
-
-def _no_population(document: Population) -> str:
-    """Why there is none, and each specimen that takes no part."""
-    left = "".join(f"; {printable(row.specimen)}: {row.reason}" for row in document.left_out)
-    return f"no population: {document.reason}{left}"

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tissueid.documents.inspect import Trial as InspectedTrial
 from tissueid.errors import refuse
 from tissueid.ingest import ReadOptions
 from tissueid.ingest.manifest import MANIFEST, SCHEMA, lines_of_toml, study_of
@@ -76,23 +75,22 @@ def corrected_text(text: str, correction: Correction) -> str:
     table = CORRECTED[correction.key]
     text = text or f'schema = "{SCHEMA}"\n'
     document = tomllib.loads(text)
-    lines = _lines(text)
+    # TOML knows no other end of a line than a line feed
+    lines = [line for line in re.split(r"(?<=\n)", text) if line]
     entries = document.get(table, [])
     mine = {
         number: span for number, span in _own_tables(text, table, lines) if correction.made(entries[number])
     }
     for span in reversed(mine.values()):
-        _take_out(lines, span)
+        # the table and the empty line after it; remarks that somebody put into it stay
+        stop = span.stop + (span.stop < len(lines) and not lines[span.stop].strip())
+        remarks = [line for line in lines[span.start : stop] if line.lstrip().startswith("#")]
+        lines[span.start : stop] = remarks
     wanted = [entry for number, entry in enumerate(entries) if number not in mine]
     if correction.value is not None:
         _append(lines, table, correction.entry, "\r\n" if "\r\n" in text else "\n")
         wanted = [*wanted, correction.entry]
     return _checked("".join(lines), {**document, table: wanted}, table)
-
-
-def _lines(text: str) -> list[str]:
-    """Lines with their ends; TOML knows no other end than a line feed."""
-    return [line for line in re.split(r"(?<=\n)", text) if line]
 
 
 def _checked(text: str, wanted: TomlTable, table: str) -> str:
@@ -118,14 +116,6 @@ def _own_tables(text: str, table: str, lines: Sequence[str]) -> list[tuple[int, 
             if lines[line - 1].rstrip().endswith(f"]]  {MARK}"):
                 found.append((path[1], range(line - 1, last)))
     return found
-
-
-def _take_out(lines: list[str], span: range) -> None:
-    """Take out a table and the empty line after it; remarks that somebody put into it stay."""
-    stop = span.stop
-    if stop < len(lines) and not lines[stop].strip():
-        stop += 1
-    lines[span.start : stop] = [line for line in lines[span.start : stop] if line.lstrip().startswith("#")]
 
 
 def _append(lines: list[str], table: str, entry: TomlTable, end: str) -> None:
@@ -194,8 +184,9 @@ class CorrectedInspection:
             correction = Correction(str(key), file, known.sheet, value, str(words.get("because") or ""))
             content = corrected_text((self._seen or b"").decode("utf-8-sig"), correction).encode("utf-8")
             study = study_of(content, self.manifest)
-            if value is None:
-                _refuse_hand(study, str(key), known)
+            if value is None and (by_hand := _deciding(study, str(key), known.path, known.sheet)):
+                said = f"line {by_hand[-1].line} of {MANIFEST} still says {key}"
+                refuse(f"{said}: it was written by hand, so change it there")
             trial = read_decided_one(known.path, known.sheet, self._reading, study)
             drawn = inspection.remade(trial, study)
             self._store(content)
@@ -215,14 +206,6 @@ class CorrectedInspection:
             write_file(self.manifest, content)
         except OSError as error:
             refuse(f"{self.manifest}: can't be written ({error.strerror}); check the rights of the folder")
-
-
-def _refuse_hand(study: Study, key: str, known: InspectedTrial) -> None:
-    """Refuse to take back what a table that was not written here decides."""
-    entries = _deciding(study, key, known.path, known.sheet)
-    if entries:
-        line = entries[-1].line
-        refuse(f"line {line} of {MANIFEST} still says {key}: it was written by hand, so change it there")
 
 
 def _value(key: str, value: Any, recording: InspectedRecording) -> float | bool | None:

@@ -134,7 +134,11 @@ def crate_files(
     ]
     frame = _frame_file(study)
     if frame is not None:
-        files.insert(0, CrateFile(_FRAME, _frame_without_sources(frame), _ABOUT[_FRAME]))
+        # without the names of the recordings behind it
+        document = json.loads(Path(frame).read_bytes())
+        for i, source in enumerate(document["sources"], start=1):
+            source["path"], source["sheet"] = f"rigid-{i}", None
+        files.insert(0, CrateFile(_FRAME, json_bytes(document), _ABOUT[_FRAME]))
     text = _anonymous_manifest(study, trials, names, anonymiser)
     return [CrateFile(MANIFEST, text.encode("utf-8"), _ABOUT[MANIFEST]), *files]
 
@@ -169,14 +173,6 @@ def _as_they_are(study: Study, trials: Sequence[Trial]) -> list[CrateFile]:
             refuse(f"{path} lies outside {root}: move it into the study's folder, or export with --anonymise")
         files.append(CrateFile(str(name), Path(path).read_bytes(), about))
     return files
-
-
-def _frame_without_sources(path: str) -> bytes:
-    """The frame file without the names of the recordings behind it."""
-    document = json.loads(Path(path).read_bytes())
-    for i, source in enumerate(document["sources"], start=1):
-        source["path"], source["sheet"] = f"rigid-{i}", None
-    return json_bytes(document)
 
 
 def _anonymous_manifest(
@@ -217,12 +213,6 @@ def _media_type(name: str) -> str:
     return _MEDIA.get(suffix) or mimetypes.guess_type(name)[0] or "application/octet-stream"
 
 
-def _licence(text: str) -> dict[str, Any]:
-    """The entity of a licence: its address, or that of its SPDX name."""
-    address = text if "://" in text else f"https://spdx.org/licenses/{quote(text)}"
-    return {"@id": address, "@type": "CreativeWork", "name": text}
-
-
 def crate_metadata(
     study: Study, files: Sequence[CrateFile], *, published: str, anonymiser: Anonymiser | None = None
 ) -> dict[str, Any]:
@@ -230,7 +220,10 @@ def crate_metadata(
     about = dict(study.about) if anonymiser is None else anonymiser.table(study.about)
     if "licence" not in about:
         refuse(f'{study.path}: a crate needs a licence: write licence = "CC-BY-4.0" (or yours) under [study]')
-    licence = _licence(about["licence"])
+    text = about["licence"]
+    # its address, or that of its SPDX name
+    address = text if "://" in text else f"https://spdx.org/licenses/{quote(text)}"
+    licence = {"@id": address, "@type": "CreativeWork", "name": text}
     authors = [
         {"@id": f"#author-{i}", "@type": "Person", "name": name}
         for i, name in enumerate(about.get("authors", ()), start=1)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.arrays import evenly
 from tissueid.documents import plain, typed
 from tissueid.documents.identification import Identification, Specimen
 from tissueid.documents.session import Scale
@@ -87,7 +88,7 @@ def rendering_of(specimen: Specimen, stored: StoredPosterior | None) -> Renderin
     draws = np.zeros((0, theta.size))
     if stored is not None:
         # some of the draws that a bundle carries, in the order of the model
-        kept = np.linspace(0, len(stored.draws) - 1, min(len(stored.draws), MOST_DRAWS)).astype(int)
+        kept = evenly(len(stored.draws), MOST_DRAWS)
         draws = stored.draws[kept][:, [stored.theta_names.index(name) for name in model.parameter_names]]
     return Rendering(
         passive=model.is_passive(theta),
@@ -206,13 +207,11 @@ def write_report(run: OutputSet, refused: Sequence[str] | None = None) -> None:
             created=created,
         )
     else:
-        page = _index_page(run, _refused(run) if refused is None else refused, created)
+        if refused is None:
+            document = typed(json.loads(run.path(IDENTIFICATION).read_bytes()), Identification)
+            refused = [f"{whole_label(one)}: {one.error.message}" for one in document.refused]
+        page = _index_page(run, refused, created)
     run.write(REPORT, page.encode("utf-8"))
-
-
-def _refused(run: OutputSet) -> list[str]:
-    document = typed(json.loads(run.path(IDENTIFICATION).read_bytes()), Identification)
-    return [f"{whole_label(one)}: {one.error.message}" for one in document.refused]
 
 
 def _index_page(run: OutputSet, refused: Sequence[str], created: str) -> str:

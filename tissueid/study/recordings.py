@@ -41,7 +41,10 @@ def locate_study(
         return None, tuple(paths)
     found = {named: named} if named else {}
     for path in paths:
-        file = path if path in manifests else _manifest_beside(path)
+        name = picked_sheet(path)[0]
+        folder = name if Path(name).is_dir() else os.path.dirname(name)  # noqa: PTH120 -- kept as typed
+        beside = os.path.join(folder, MANIFEST)  # noqa: PTH118 -- kept as typed
+        file = path if path in manifests else beside
         if path in manifests or Path(file).is_file():
             found.setdefault(os.path.realpath(file), file)
     if named and len({os.path.realpath(file) for file in found.values()}) == 1:
@@ -73,13 +76,6 @@ def _picked(paths: Sequence[str]) -> dict[str, set[str]]:
         if sheet is not None and os.path.realpath(name) not in whole:
             picked.setdefault(os.path.realpath(name), set()).add(sheet)
     return picked
-
-
-def _manifest_beside(path: str) -> str:
-    """The manifest that a folder holds, or the folder of a recording or of a sheet of it."""
-    name = picked_sheet(path)[0]
-    folder = name if Path(name).is_dir() else os.path.dirname(name)  # noqa: PTH120 -- kept as typed
-    return os.path.join(folder, MANIFEST)  # noqa: PTH118 -- kept as typed
 
 
 def _to_read(study: Study, paths: Sequence[str], manifest_named: bool) -> tuple[str, ...]:
@@ -197,13 +193,12 @@ def facts_of(part: Study) -> dict[str, Any]:
         "priors": part.priors.as_json(),
         "specimens": {name: dict(row) for name, row in part.specimens.items()},
         "protocols": {name: dict(row) for name, row in part.protocols.items()},
-        **{table: [_plain(entry) for entry in getattr(part, table)] for table in _TABLES},
+        # the line moves when tables are added above it, and says nothing of the recording
+        **{
+            table: [{"files": list(one.files), **one.values} for one in getattr(part, table)]
+            for table in _TABLES
+        },
     }
-
-
-def _plain(entry: Entry) -> dict[str, Any]:
-    # the line moves when tables are added above it, and says nothing of the recording
-    return {"files": list(entry.files), **dict(entry.values)}
 
 
 #: A file, and the sheet that the user named with it.

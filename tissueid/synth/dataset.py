@@ -16,7 +16,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from tissueid.errors import UsageError
+from tissueid.errors import refuse
 from tissueid.store.files import write_file
 from tissueid.synth.bluehill import DIALECTS, bluehill_csv
 from tissueid.synth.machines import (
@@ -97,8 +97,7 @@ TRUTH_DIGITS = 12
 def write_set(recipe: Recipe, directory: str | Path, *, seed: int, dialect: str = "bare") -> list[Path]:
     """Simulate a recipe and write the set."""
     if dialect not in EXPORTS:
-        msg = f"no dialect {dialect!r}; there are {', '.join(sorted(EXPORTS))}"
-        raise UsageError(msg)
+        refuse(f"no dialect {dialect!r}; there are {', '.join(sorted(EXPORTS))}")
     logs = simulate(recipe, rng=np.random.default_rng(seed))
     export = EXPORTS[dialect]
     contents = {f"{log.name}{export.suffix}": export.write(log, decimals=recipe.decimals) for log in logs}
@@ -111,8 +110,7 @@ def write_set(recipe: Recipe, directory: str | Path, *, seed: int, dialect: str 
     directory.mkdir(parents=True, exist_ok=True)
     foreign = sorted(entry.name for entry in directory.iterdir() if entry.name not in contents)
     if foreign:
-        msg = f"{directory} already holds {foreign[0]!r}, not part of this set; give an empty directory"
-        raise UsageError(msg)
+        refuse(f"{directory} already holds {foreign[0]!r}, not part of this set; give an empty directory")
     for name, data in contents.items():
         write_file(directory / name, data)
     return [directory / name for name in contents]

@@ -36,7 +36,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from tissueid.errors import InputError, UsageError
+from tissueid.errors import InputError, refuse
 
 SECONDS_PER_MINUTE = 60.0
 NONNEGATIVE = (
@@ -204,7 +204,11 @@ def _from_table(table: Mapping[str, Any]) -> Recipe:
         raise ValueError(msg)
     values = dict(table)
     values["logs"] = tuple(
-        Log(entry["name"], tuple(_step(move) for move in entry["moves"]), int(entry.get("repeats", 1)))
+        Log(
+            entry["name"],
+            tuple(Hold(**move) if "hold_s" in move else Move(**move) for move in entry["moves"]),
+            int(entry.get("repeats", 1)),
+        )
         for entry in table["logs"]
     )
     if "branches" in table:
@@ -220,11 +224,6 @@ def _from_table(table: Mapping[str, Any]) -> Recipe:
     if "rupture" in table:
         values["rupture"] = Rupture(**table["rupture"])
     return Recipe(**values)
-
-
-def _step(table: Mapping[str, float]) -> Move | Hold:
-    """One entry of ``moves``."""
-    return Hold(**table) if "hold_s" in table else Move(**table)
 
 
 def dump_recipe(recipe: Recipe) -> str:
@@ -342,6 +341,5 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(_named())
 def recipe(name: str) -> Recipe:
     """The built-in recipe of that name."""
     if name not in RECIPES:
-        msg = f"no built-in recipe {name!r}; there are {', '.join(sorted(RECIPES))}, or give a recipe.toml"
-        raise UsageError(msg)
+        refuse(f"no built-in recipe {name!r}; there are {', '.join(sorted(RECIPES))}, or give a recipe.toml")
     return RECIPES[name]

@@ -1,4 +1,4 @@
-"""Draw the logs of a recipe: travel, force in closed form (or of Hertz's law), rupture, load channel, noise.
+"""Draw the logs of a recipe: travel, force in closed form, rupture, load channel, noise.
 
 Travel of the crosshead is a polyline.  Between two knots the depth changes at constant speed v, and the
 extension of a branch that was s_k at the knot is
@@ -320,7 +320,9 @@ def _one_log(
         "gain": both * _gain(recipe.cv_static, rng),
         "gain_stiffness": both,
         "contact_offset_mm": recipe.contact_offset_mm,
-        **_plan(log),
+        "speed_mm_s": next((move.speed_mm_s for move in log.moves if isinstance(move, Move)), 0.0),
+        "depth_mm": next((move.to_mm for move in log.moves if isinstance(move, Move)), 0.0),
+        "hold_s": next((move.hold_s for move in log.moves if isinstance(move, Hold)), 0.0),
     }
     if recipe.contact_offset_sd_mm > 0.0:
         truth["contact_offset_mm"] += recipe.contact_offset_sd_mm * float(rng.standard_normal())
@@ -330,31 +332,12 @@ def _one_log(
     if rupture is not None:
         rupture = replace(rupture, threshold=rupture.threshold * tough * _gain(rupture.cv, rng))
     clean = _clean_force(replace(recipe, rupture=rupture), travel, time_s, truth)
-    return _recorded(recipe, name, specimen, travel, time_s, clean, truth, rng)
-
-
-def _recorded(
-    recipe: Recipe, name: str, specimen: str, travel: Path, time_s: FloatArray, clean: FloatArray,
-    truth: Mapping[str, float], rng: np.random.Generator,
-) -> SyntheticLog:  # fmt: skip
-    """A log as the machine records it: noise on both channels, and the recipe's sign."""
     displacement = travel.at(time_s)
     if recipe.sigma_mm > 0.0:
         displacement = displacement + recipe.sigma_mm * rng.standard_normal(time_s.size)
     sign = float(recipe.compression_sign)
     force_N = sign * (clean + _noise(recipe, time_s.size, rng))
     return SyntheticLog(name, specimen, time_s, sign * displacement, force_N, sign * clean, truth)
-
-
-def _plan(log: Log) -> dict[str, float]:
-    """Speed and depth of the first move and length of the first hold, 0 where there is none."""
-    moves = [move for move in log.moves if isinstance(move, Move)]
-    holds = [hold for hold in log.moves if isinstance(hold, Hold)]
-    return {
-        "speed_mm_s": moves[0].speed_mm_s if moves else 0.0,
-        "depth_mm": moves[0].to_mm if moves else 0.0,
-        "hold_s": holds[0].hold_s if holds else 0.0,
-    }
 
 
 def _clean_force(recipe: Recipe, travel: Path, time_s: FloatArray, truth: dict[str, float]) -> FloatArray:
@@ -403,43 +386,3 @@ def as_trials(logs: list[SyntheticLog], *, specimen: str | None = None) -> list[
         label = log.specimen if specimen is None else specimen
         trials.append(Trial(label, log.time_s, log.displacement_mm, log.force_N, protocol, source))
     return trials
-
-
-#: Half of the step of the path's derivative [s]; its pieces are straight.
-STEP_S = 1e-6
-
-
-def simulate_contact_law(
-    recipe: Recipe, *, stiffness: float, exponent: float, restitution: float, rng: np.random.Generator
-) -> list[SyntheticLog]:
-    """Simulate every log of a recipe, one specimen."""
-    damping = 8.0 * (1.0 - restitution) / (5.0 * restitution)
-    law = {"stiffness_N_per_mm_n": stiffness, "exponent": exponent, "restitution": restitution}
-    logs = []
-    for log in recipe.logs:
-        for repeat in range(1, log.repeats + 1):
-            travel = crosshead_path(log, rounding_s=recipe.crosshead_rounding_s)
-            time_s = np.arange(0.0, travel.time_s[-1], 1.0 / recipe.rate_Hz)
-            depth = travel.at(time_s) - recipe.contact_offset_mm
-            ratio = _speed_ratio(travel, time_s, depth)
-            force = stiffness * np.maximum(depth, 0.0) ** exponent * np.maximum(1.0 + damping * ratio, 0.0)
-            truth = {**law, "contact_offset_mm": recipe.contact_offset_mm, **_plan(log)}
-            name = f"{log.name}-{repeat}"
-            logs.append(_recorded(recipe, name, recipe.specimen, travel, time_s, force, truth, rng))
-    return logs
-
-
-def _speed_ratio(travel: Path, time_s: FloatArray, depth: FloatArray) -> FloatArray:
-    """Speed over that at the start of each contact, within +-1."""
-    end = float(travel.time_s[-1])
-    before, after = np.maximum(time_s - STEP_S, 0.0), np.minimum(time_s + STEP_S, end)
-    speed = (travel.at(after) - travel.at(before)) / (after - before)
-    ratio = np.zeros(time_s.size)
-    begun = 0.0
-    for i in range(time_s.size):
-        if depth[i] <= 0.0:
-            begun = 0.0
-        elif begun == 0.0:
-            begun = speed[i]
-        ratio[i] = speed[i] / begun if begun > 0.0 else 0.0
-    return np.clip(ratio, -1.0, 1.0)
