@@ -94,6 +94,21 @@ def test_every_ramp_that_goes_on_has_its_corner() -> None:
     assert all(time[corner.index] == pytest.approx(corner.time_s, abs=0.01) for corner in found.corners)
 
 
+@pytest.mark.parametrize("noise_mm", [3e-4, 2e-3])
+def test_a_servo_that_rings_and_then_creeps_on_holds(noise_mm: float) -> None:
+    # 7 mm at 20 mm/s, ringing by 5 % of them at 5 Hz, 0.03 mm of creep behind it
+    rng, time = np.random.default_rng(5), np.arange(0.0, 60.0, 1.0 / RATE_HZ)
+    since = np.maximum(time - 3.35, 0.0)
+    depth = np.clip(20.0 * (time - 3.0), 0.0, 7.0) + 0.03 * -np.expm1(-since / 15.0)
+    depth += 0.35 * np.exp(-since / 0.16) * np.sin(2.0 * np.pi * 5.0 * since)
+    force = 1.5 * np.maximum(depth - 1.3, 0.0) * (0.8 + 0.2 * np.exp(-since / 3.0))
+    noisy = (depth + noise_mm * rng.normal(size=time.size), force + 0.02 * rng.normal(size=time.size))
+    found = segment(Trial("rings", time, *noisy))
+    assert kinds(found) == ["approach", "approach", "ramp", "hold"]
+    assert "rupture" not in codes(found)
+    assert found.phases[-1].start_s == pytest.approx(3.6, abs=0.4)
+
+
 def test_the_first_sample_of_the_next_move_is_no_overshoot_of_a_hold() -> None:
     # steps of 1 mm at 2 mm/s, 50 samples/s; a move begins between two samples, 0.018 mm before the next one
     time = np.arange(0.0, 12.0, 0.02)

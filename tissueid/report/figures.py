@@ -155,16 +155,13 @@ def _with_viscosity(names: Sequence[str], draws: FloatArray, depth_mm: float) ->
 
 
 def _of_one(specimen: Specimen, stored: StoredPosterior, most: int, steps: int) -> dict[str, Any]:
-    entries = [
-        entry
-        for entry in reported_order(specimen.parameters)
-        if entry.name in stored.theta_names or entry.name.startswith("viscosity")
-    ]
+    shown = _with_viscosity(stored.theta_names, stored.draws[:1], specimen.validity.depth_mm)
+    entries = [entry for entry in reported_order(specimen.parameters) if entry.name in shown]
 
     def table(draws: FloatArray) -> dict[str, Any]:
         kept_draws = draws[evenly(len(draws), most)]
         columns = _with_viscosity(stored.theta_names, kept_draws, specimen.validity.depth_mm)
-        kept = [columns[entry.name] for entry in entries if entry.name in columns]
+        kept = [columns[entry.name] for entry in entries]
         return {**quantised(np.column_stack(kept)), "count": len(kept[0])}
 
     chain = stored.chain[evenly(stored.chain.shape[0], _CHAINS)]

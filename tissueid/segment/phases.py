@@ -28,8 +28,14 @@ OVERSHOOT_SHARE = 0.1
 #: much of their travel.
 SWING_SHARE = 0.3
 LONGEST_SWING_S = 0.3
-#: After swings, a move this slow against the ramp, and no longer than an overshoot, is the servo's creep.
+#: After swings, a move this slow against the ramp, no longer than an overshoot, and that does not swing, so
+#: that this share of its way is left, is the servo's creep.
 CREEPING_SHARE = 0.01
+ONE_WAY_SHARE = 0.6
+#: ... as is one that takes longer than ringing does, in times of the ramp.
+LONGEST_RINGING = 20.0
+#: Parts over which its way is averaged, so that the noise of the path is none of it.
+CREEPING_PARTS = 20
 #: A loop returns at least this share of its way in.
 LOOP_RETURN = 0.5
 #: Loops from which a recording is cyclic.
@@ -119,31 +125,29 @@ def _without_ringing(path: Path, found: list[Piece]) -> list[Piece]:
     result: list[Piece] = []
     k = 0
     while k < len(found):
-        ramp = found[k]
-        stop = k
-        if ramp.direction > 0:
-            while (
-                stop + 1 < len(found)
-                and found[stop + 1].direction != 0
-                and _rings(path, found[stop + 1], ramp)
-            ):
-                stop += 1
-            if stop > k and stop + 1 < len(found) and _settles(path, found[stop + 1], ramp):
-                ramp = replace(ramp, stop=found[stop].stop)
-                found = [*found[: stop + 1], replace(found[stop + 1], direction=0), *found[stop + 2 :]]
-            else:
-                stop = k
+        ramp, stop = found[k], k
+        while ramp.direction > 0 and stop + 1 < len(found) and not _settles(path, found[stop + 1], ramp):
+            stop += 1
+            if not _rings(path, found[stop], ramp):
+                break
+        stands = stop > k and stop + 1 < len(found) and _rings(path, found[stop], ramp)
+        if stands:
+            ramp = replace(ramp, stop=found[stop].stop)
+            found = [*found[: stop + 1], replace(found[stop + 1], direction=0), *found[stop + 2 :]]
         result.append(ramp)
-        k = stop + 1
+        k = stop + 1 if stands else k + 1
     return result
 
 
 def _settles(path: Path, after: Piece, ramp: Piece) -> bool:
     """True where a ramp's swings end in a standstill, or in what a servo creeps on."""
-    slow = abs(after.speed(path)) <= CREEPING_SHARE * abs(ramp.speed(path))
-    return after.direction == 0 or (
-        slow and abs(after.travel_mm(path)) <= OVERSHOOT_SHARE * abs(ramp.travel_mm(path))
-    )
+    depth = path.depth_mm[after.start : after.stop + 1]
+    way = float(np.ptp([part.mean() for part in np.array_split(depth, min(CREEPING_PARTS, depth.size))]))
+    slow = way <= CREEPING_SHARE * abs(ramp.speed(path)) * after.took_s(path)
+    goes_on = abs(after.travel_mm(path)) >= ONE_WAY_SHARE * way
+    goes_on |= after.took_s(path) >= LONGEST_RINGING * ramp.took_s(path)
+    small = way <= OVERSHOOT_SHARE * abs(ramp.travel_mm(path))
+    return after.direction == 0 or (slow and goes_on and small)
 
 
 def _rings(path: Path, swing: Piece, ramp: Piece) -> bool:
