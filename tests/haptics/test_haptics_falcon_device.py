@@ -198,7 +198,7 @@ def test_firmware_is_loaded_over_a_pseudo_terminal(tmp_path, monkeypatch):
         device.tell = told.append
         with device:
             assert link.falcon.running
-            assert link.falcon.firmware_tries == 2
+            assert link.falcon.boot.tries == 2
     assert told[0].startswith(f"{file} is no firmware known to work (700 bytes, sha256 ")
     assert [line for line in told if line.startswith("firmware, try")] == [
         "firmware, try 1 of 10: the echo of bytes 186 to 247 of the firmware is missing or differs"

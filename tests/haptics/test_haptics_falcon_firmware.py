@@ -98,7 +98,7 @@ def test_each_failed_upload_is_followed_by_another_on_a_new_transport_up_to_ten(
     else:
         with pytest.raises(DeviceError, match=r"in 10 tries; the last: the echo .*\(no hub\)"):
             ensure_running(open_transport, lambda: FILE, told)
-    assert falcon.firmware_tries == len(wires) == opened
+    assert falcon.boot.tries == len(wires) == opened
     assert [one.closed for one in wires] == [True] * (opened - 1) + [failing > 10]
     assert told.tries == [
         f"firmware, try {k} of 10: the echo of bytes 186 to 247 of the firmware is missing or differs"

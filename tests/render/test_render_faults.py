@@ -283,7 +283,7 @@ def test_firmware_that_fails_twice_is_exit_0(monkeypatch, tmp_path):
     firmware.write_bytes(bytes(range(256)) * 2)
     with emulated(monkeypatch, firmware_loaded=False, failing_tries=2, firmware=firmware) as link:
         code, _ = run(*FALCON, "--seconds", "1")
-        assert link.falcon.firmware_tries == 3
+        assert link.falcon.boot.tries == 3
     assert code == 0
 
 

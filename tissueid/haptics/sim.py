@@ -301,8 +301,6 @@ class ReplayDevice(HapticDevice):
         super().__init__(carried(limits or GuardLimits.simulated()))
         self._clock = clock
         self._started_s: float | None = None
-        self._time_s, self._position_m = np.zeros(1), np.array([CENTRE_M])
-        self._buttons = np.zeros(1, np.int64)
         self._log = log
         if log is not None:
             self._load(Path(log))

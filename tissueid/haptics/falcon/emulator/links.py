@@ -109,7 +109,8 @@ class EmulatedLink:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        self._end_thread()
+        self._close_ends()
 
     def step(self) -> None:
         """Answer what has arrived in the caller's own thread, in place of the link's; wait for nothing."""
@@ -122,11 +123,6 @@ class EmulatedLink:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
-
-    def close(self) -> None:
-        """Stop serving and close both ends."""
-        self._end_thread()
-        self._close_ends()
 
 
 class EmulatorProcess:
