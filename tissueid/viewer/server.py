@@ -24,6 +24,7 @@ import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -241,9 +242,6 @@ def viewer_app(stage: Stage, access: Access, *, bundle: Path = BUNDLE) -> ASGIAp
             return HTMLResponse(MISSING_BUNDLE, status_code=503)
         return FileResponse(file)
 
-    async def samples(websocket: WebSocket) -> None:
-        await _serve_client(websocket, stage)
-
     @asynccontextmanager
     async def running(_app: Starlette) -> AsyncIterator[None]:
         task = asyncio.create_task(stage.run())
@@ -254,7 +252,7 @@ def viewer_app(stage: Stage, access: Access, *, bundle: Path = BUNDLE) -> ASGIAp
         routes=[
             Route("/", page, methods=["GET"]),
             Mount("/static", StaticFiles(directory=bundle, check_dir=False)),
-            WebSocketRoute("/ws", samples),
+            WebSocketRoute("/ws", partial(_serve_client, stage=stage)),
         ],
         lifespan=running,
     )
@@ -393,8 +391,8 @@ class Owner:
 
     def __init__(self, link: socket.socket) -> None:
         self.link = link
+        self.descriptors: list[int] = []  # those that came since the last were taken
         self._text = b""
-        self._descriptors: list[int] = []
 
     def read(self) -> list[dict[str, Any]] | None:
         """Whole lines that have come; None where the owner is gone."""
@@ -406,20 +404,22 @@ class Owner:
             return None
         if not data:
             return None
-        self._descriptors += descriptors
+        self.descriptors += descriptors
         *lines, self._text = (self._text + data).split(b"\n")
         return [json.loads(line) for line in lines]
-
-    def descriptors(self) -> list[int]:
-        """Those that came since the last call."""
-        found, self._descriptors = self._descriptors, []
-        return found
 
 
 def obey(stage: Stage, words: dict[str, Any], owner: Owner) -> None:
     """Do what a line of the owner says, with the descriptors that came with it."""
     if "live" in words:
-        _show_live(stage, words["live"], owner.descriptors())
+        os.setpriority(os.PRIO_PROCESS, 0, max(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)))
+        live, pointer = words["live"], None
+        ring, *hand = owner.descriptors
+        owner.descriptors = []
+        if hand:
+            low_m, high_m = np.array(live["workspace_m"]).T
+            pointer = HandPointer(SharedHand.attach(hand[0]), np.array(live["rest_m"]), low_m, high_m)
+        stage.show_live(live["hello"], LiveFeed(Ring.attach(ring)), pointer)
     elif "log" in words:
         from tissueid.store.session_log import read_session_log
 
@@ -429,15 +429,6 @@ def obey(stage: Stage, words: dict[str, Any], owner: Owner) -> None:
         stage.tell(words["status"])
     elif "end" in words:
         stage.end()
-
-
-def _show_live(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> None:
-    os.setpriority(os.PRIO_PROCESS, 0, max(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)))
-    pointer = None
-    if len(descriptors) > 1:
-        low_m, high_m = np.array(words["workspace_m"]).T
-        pointer = HandPointer(SharedHand.attach(descriptors[1]), np.array(words["rest_m"]), low_m, high_m)
-    stage.show_live(words["hello"], LiveFeed(Ring.attach(descriptors[0])), pointer)
 
 
 async def _serve(link: socket.socket, listening: socket.socket) -> None:
