@@ -10,13 +10,10 @@ import pytest
 from tissueid.errors import BundleError, DeviceError
 from tissueid.haptics import sim as k
 from tissueid.haptics.arm import Arm
-from tissueid.haptics.device import HOMED, REPLY, WORDS_SIZE
-from tissueid.haptics.guard import REPLY_LOST, REPLY_NONE, REPLY_VALID
 from tissueid.haptics.hand import Hand, preset
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.ring import RECORD
-from tissueid.haptics.shared_hand import FAULT_AT, FAULT_KIND, FAULT_SIZE, PHASE
-from tissueid.haptics.states import State
+from tissueid.haptics.shared_hand import PHASE
 from tissueid.store import session_log
 
 SURFACE = np.array(k.CENTRE_M)
@@ -46,13 +43,6 @@ def pushed(device: k.SimulatedDevice, force_N: list[float]) -> None:
     """A tick under a force."""
     k.simulated_command(device.memory, device.parameters, np.array(force_N))
     k.simulated_advance(device.memory, device.parameters, 1e-3)
-
-
-def heard(device: k.SimulatedDevice) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
-    """Difference of a reading from the true position, counts, and what is said of reply and homing."""
-    place, counts, words = np.zeros(3), np.zeros(3, np.int64), np.zeros(WORDS_SIZE, np.int64)
-    k.simulated_sample(device.memory, device.parameters, place, counts, words)
-    return place - device.true_position_m, counts, (int(words[REPLY]), int(words[HOMED]))
 
 
 def pressing() -> Hand:
@@ -100,10 +90,11 @@ def test_forces_take_over_from_each_other_within_a_tick():
 @pytest.mark.needs_jit
 def test_positions_are_rounded_to_counts_without_a_mean_error():
     device = k.SimulatedDevice(hand=FREE, arm=SLIPPERY, quantum_m=60e-6, seed=3)
-    errors = []
+    errors, place, counts = [], np.zeros(3), np.zeros(3, np.int64)
     for _ in range(2000):
         pushed(device, [0.01, -0.013, 0.007])
-        errors.append(heard(device)[0])
+        k.simulated_sample(device.memory, device.parameters, place, counts)
+        errors.append(place - device.true_position_m)
     assert np.abs(errors).max() <= 30e-6 * (1.0 + 1e-9)
     # evenly spread over a count of 60 um: sd of the mean of at least some 300 counts passed is 1 um
     assert np.abs(np.mean(errors, axis=0)).max() < 4e-6
@@ -115,7 +106,6 @@ def test_the_compiled_blocks_are_the_device():
     assert io.kind == "tissueid.haptics.sim:SIMULATED"
     with device:
         for _ in range(50):
-            assert heard(device)[2] == (REPLY_VALID, 1)
             k.simulated_command(io.memory, io.constants, QUIET)
             k.simulated_advance(io.memory, io.constants, 1e-3)
         assert device.time_s == pytest.approx(0.05, abs=1e-12)
@@ -133,39 +123,6 @@ def test_in_real_time_the_arm_moves_with_the_clock():
             device.read()
             device.write_force(QUIET, step)
     assert device.time_s == pytest.approx(0.054, abs=1e-12)
-
-
-#: Reply and homing that a scripted fault leaves.
-SAID = {
-    k.FAULT_SILENT: (REPLY_NONE, 0), k.FAULT_GONE: (REPLY_LOST, 0), k.FAULT_UNHOMED: (REPLY_VALID, 0),
-    k.FAULT_FROZEN: (REPLY_VALID, 1),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(("kind", "said"), SAID.items())
-def test_scripted_faults_begin_at_their_time(kind, said):
-    device = k.SimulatedDevice(hand=FREE, arm=SLIPPERY)
-    device.parameters[[FAULT_KIND, FAULT_AT]] = kind, 0.010
-    answers, seen = [], []
-    for _ in range(40):
-        _, counts, answer = heard(device)
-        answers.append(answer)
-        seen.append(int(counts[0]))
-        pushed(device, [5.0, 0.0, 0.0])
-    assert set(answers[:10]) == {(REPLY_VALID, 1)}
-    assert set(answers[11:]) == {said}
-    assert (len(set(seen[12:])) == 1) == (kind != k.FAULT_UNHOMED)
-
-
-def test_a_jump_is_one_encoder_off_by_its_size_and_a_device_that_is_gone_ends_in_fault():
-    device = k.SimulatedDevice(hand=FREE)
-    with device:
-        device.parameters[[FAULT_KIND, FAULT_SIZE]] = k.FAULT_JUMP, 300.0
-        np.testing.assert_allclose(heard(device)[0], [300 * 45e-6, 0.0, 0.0], atol=22.6e-6)
-        device.parameters[FAULT_KIND] = k.FAULT_GONE
-        with pytest.raises(DeviceError, match="unplugged"):
-            device.read()
-        assert device.state is State.FAULT
 
 
 def test_it_is_always_there_and_has_no_motors_and_impossible_ones_are_refused():

@@ -183,7 +183,7 @@ def test_files_that_are_no_certificate_are_refused(tmp_path):
 
 def test_a_session_elsewhere_is_opened_once_it_answers(monkeypatch, tmp_path):
     (tmp_path / "index.html").write_text("a page", encoding="ascii")
-    monkeypatch.setattr(server.viewer_app, "__kwdefaults__", {"bundle": tmp_path})
+    monkeypatch.setattr(server, "BUNDLE", tmp_path)
     with served(token="secret") as live:
         address = f"127.0.0.1:{live.access.port}"
         with pytest.raises(UsageError, match="no token"):

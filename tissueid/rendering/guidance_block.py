@@ -7,7 +7,7 @@ velocity is a stiffness ``K tau / t_f`` that relaxes in t_f, and drilled bone a 
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -190,19 +190,15 @@ class GuidanceCheck:
 
 def weaker(plan: Guidance, strength: float) -> Guidance:
     """A plan with all forces but the weight times a factor; feed and times stay."""
+
+    def times(part: Any, *names: str) -> Any:
+        return replace(part, **{name: strength * getattr(part, name) for name in names})
+
     return replace(
         plan,
-        funnel=replace(plan.funnel, stiffness_N_per_m_n=strength * plan.funnel.stiffness_N_per_m_n),
-        pull=replace(
-            plan.pull,
-            far_N_per_m=strength * plan.pull.far_N_per_m,
-            near_N_per_m=strength * plan.pull.near_N_per_m,
-        ),
-        bone=replace(
-            plan.bone,
-            stiffness_N_per_m=strength * plan.bone.stiffness_N_per_m,
-            resistance_N_s_per_m=strength * plan.bone.resistance_N_s_per_m,
-        ),
+        funnel=times(plan.funnel, "stiffness_N_per_m_n"),
+        pull=times(plan.pull, "far_N_per_m", "near_N_per_m"),
+        bone=times(plan.bone, "stiffness_N_per_m", "resistance_N_s_per_m"),
     )
 
 

@@ -182,14 +182,19 @@ class Guarded:
         if scope["type"] not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
-        why = self._refusal(scope)
-        if why is not None:
-            self._log.note(_name(scope), why)
-            await self._refuse(scope, receive, send, why)
-        elif scope["type"] == "websocket":
-            await self._app(scope, receive, send)
+        why, websocket = self._refusal(scope), scope["type"] == "websocket"
+        headed = send if websocket else self._with_headers(send)
+        if why is None:
+            await self._app(scope, receive, headed)
+            return
+        self._log.note(_name(scope), why)
+        if websocket:
+            # before it is accepted: the handshake is answered with 403
+            await receive()
+            await send({"type": "websocket.close", "code": NOT_ALLOWED, "reason": why[:100]})
         else:
-            await self._app(scope, receive, self._with_headers(send))
+            words = f"refused: {why}. Open the address that the terminal shows.\n"
+            await PlainTextResponse(words, status_code=403)(scope, receive, headed)
 
     def _refusal(self, scope: Scope) -> str | None:
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
@@ -202,15 +207,6 @@ class Guarded:
         token = self._access.token if scope["path"].startswith("/static/") else _token(scope)
         # what changes something comes from the page itself, like what carries samples
         return self._access.refusal(headers, token, websocket=websocket or scope["method"] != "GET")
-
-    async def _refuse(self, scope: Scope, receive: Receive, send: Send, why: str) -> None:
-        if scope["type"] == "websocket":
-            # before it is accepted: the handshake is answered with 403
-            await receive()
-            await send({"type": "websocket.close", "code": NOT_ALLOWED, "reason": why[:100]})
-            return
-        words = f"refused: {why}. Open the address that the terminal shows.\n"
-        await PlainTextResponse(words, status_code=403)(scope, receive, self._with_headers(send))
 
     def _with_headers(self, send: Send) -> Send:
         async def sent(message: Message) -> None:
@@ -233,14 +229,12 @@ def _name(scope: Scope) -> str:
     return "a client" if client is None else f"{client[0]}:{client[1]}"
 
 
-def viewer_app(stage: Stage, access: Access, *, bundle: Path = BUNDLE) -> ASGIApp:
+def viewer_app(stage: Stage, access: Access) -> ASGIApp:
     """The application: what a stage shows, to whom ``access`` lets in."""
 
     async def page(_request: object) -> Response:
-        file = bundle / "index.html"
-        if not file.is_file():
-            return HTMLResponse(MISSING_BUNDLE, status_code=503)
-        return FileResponse(file)
+        file = BUNDLE / "index.html"
+        return FileResponse(file) if file.is_file() else HTMLResponse(MISSING_BUNDLE, status_code=503)
 
     @asynccontextmanager
     async def running(_app: Starlette) -> AsyncIterator[None]:
@@ -251,7 +245,7 @@ def viewer_app(stage: Stage, access: Access, *, bundle: Path = BUNDLE) -> ASGIAp
     app = Starlette(
         routes=[
             Route("/", page, methods=["GET"]),
-            Mount("/static", StaticFiles(directory=bundle, check_dir=False)),
+            Mount("/static", StaticFiles(directory=BUNDLE, check_dir=False)),
             WebSocketRoute("/ws", partial(_serve_client, stage=stage)),
         ],
         lifespan=running,

@@ -135,9 +135,6 @@ class EmulatorProcess:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
         )
-        self.path = self._wait_for_path()
-
-    def _wait_for_path(self) -> str:
         out = self._process.stdout
         ready = out is not None and select.select([out], [], [], START_S)[0]
         line = out.readline().decode(errors="replace").strip() if ready and out is not None else ""
@@ -146,7 +143,7 @@ class EmulatorProcess:
             said = self._process.communicate()[1].decode(errors="replace").strip().splitlines()
             msg = f"the emulator did not start: {said[-1] if said else 'it said nothing'}"
             raise DeviceError(msg)
-        return line.removeprefix(READY_LINE)
+        self.path = line.removeprefix(READY_LINE)
 
     def close(self) -> None:
         """End the process."""
