@@ -54,15 +54,11 @@ class BoundedLaw:
         self._running = False
 
     def __enter__(self) -> Self:
-        # without POSIX timers a law that does not return is not stopped
-        self._timed = hasattr(signal, "setitimer")
-        if self._timed:
-            self._before = signal.signal(signal.SIGALRM, self._overdue)
+        self._before = signal.signal(signal.SIGALRM, self._overdue)
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._timed:
-            signal.signal(signal.SIGALRM, self._before)
+        signal.signal(signal.SIGALRM, self._before)
 
     def _overdue(self, _number: int, _frame: FrameType | None) -> None:
         if self._running:
@@ -74,7 +70,7 @@ class BoundedLaw:
             return np.full(3, np.nan)
         try:
             self._running = True
-            self._set_timer(LONGEST_S)
+            signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
             force = np.asarray(self.law(position, velocity, dt), dtype=np.float64).reshape(3)
             self._running = False
         except BaseException as error:  # noqa: BLE001 - of somebody else's law nothing may pass
@@ -84,12 +80,8 @@ class BoundedLaw:
             self.said = f"{self.name} {what}"
             force = np.full(3, np.nan)
         finally:
-            self._set_timer(0.0)
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
         return force
-
-    def _set_timer(self, seconds: float) -> None:
-        if self._timed:
-            signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
 class Signalled(BaseException):
