@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import ctypes
 import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
+from command_line import REPOSITORY, python
 from guarded import FREE
 from numba.core.errors import NumbaError
 from rendered_tissues import PAPER_A, TWO_BRANCHES, pressed, walk
@@ -67,12 +66,11 @@ def test_scipy_is_out_of_reach_only_while_numba_sets_itself_up():
         "with without_scipy():\n"
         "    print(sys.modules['scipy.linalg'] is scipy.linalg)\n"
     )
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert ended.stdout == "[]\nTrue\n"
+    assert python("-c", program).stdout == "[]\nTrue\n"
 
 
 HERE = Path(__file__).resolve().parent
-REFERENCE = HERE.parents[1] / "benchmarks" / "servo_reference.c"
+REFERENCE = REPOSITORY / "benchmarks" / "servo_reference.c"
 TICKS, SAMPLES, SEED = 4000, 1500, 4
 SHAKEN = replace(FREE, clamp_N=4.0, rms_limit_N=2.5, rms_window_s=0.5)
 
@@ -134,11 +132,8 @@ def test_numba_and_c_agree_bit_for_bit(tmp_path, c_library, seed):
 @pytest.mark.needs_jit
 def test_numba_and_plain_python_agree_bit_for_bit(tmp_path):
     there = tmp_path / "python.npz"
-    folders = [str(HERE), str(HERE.parent), os.environ.get("PYTHONPATH", "")]
-    subprocess.run(
-        [sys.executable, "-c", IN_PYTHON, there],
-        env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(folders)}, check=True,
-    )  # fmt: skip
+    folders = os.pathsep.join(map(str, (HERE, HERE.parent, REPOSITORY)))
+    python("-c", IN_PYTHON, there, NUMBA_DISABLE_JIT="1", PYTHONPATH=folders)
     found, plain = everything(), np.load(there)
     assert {name: plain[name].tobytes() for name in found} == {
         name: one.tobytes() for name, one in found.items()

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import REPOSITORY, python
 from fake_device import FakeDevice
 
 from tissueid.errors import DeviceError
@@ -17,7 +15,7 @@ from tissueid.haptics import device as devices
 from tissueid.haptics.device import ZERO_COMMANDS
 from tissueid.haptics.states import Fault, State
 
-SOURCES, TESTS = Path(devices.__file__).parents[1], Path(__file__).parents[1]
+SOURCES = REPOSITORY / "tissueid"
 
 
 @pytest.fixture
@@ -127,8 +125,7 @@ def test_ending_the_interpreter_sends_zero_force():
         "FakeDevice._write = lambda self, force_N: print(force_N.tolist())\n"
         "device = FakeDevice()\ndevice.open()\nraise SystemExit(3)\n"
     )
-    command = [sys.executable, "-c", program]
-    ended = subprocess.run(command, cwd=TESTS, capture_output=True, text=True, check=False)
+    ended = python("-c", program, check=False, PYTHONPATH=f"{REPOSITORY}:{REPOSITORY / 'tests'}")
     assert ended.returncode == 3
     assert ended.stdout.splitlines() == ["[0.0, 0.0, 0.0]"] * ZERO_COMMANDS
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import select
-import subprocess
-import sys
 import time
 from contextlib import closing, suppress
 
 import numpy as np
 import pytest
+from command_line import python
 from emulator_wire import HOME, HOMED_AFTER, ZERO, angles, command, encoders, homed_bits, homed_falcon
 
 from tissueid.errors import DeviceError, UsageError
@@ -21,16 +20,9 @@ from tissueid.haptics.falcon.emulator import (
     EmulatorProcess,
     EmulatorSettings,
     ScriptedFault,
+    machine,
 )
 from tissueid.haptics.falcon.emulator.__main__ import main as emulator_main
-from tissueid.haptics.falcon.emulator.machine import (
-    AZIMUTHS,
-    LENGTHS,
-    CommandReader,
-    grip_force,
-    leg_angles,
-    parse_fault,
-)
 from tissueid.haptics.hand import Hand
 
 
@@ -45,9 +37,11 @@ def test_angles_found_by_search_and_forces_by_differences_are_those_of_the_drive
     for direction in rng.normal(size=(30, 3)):
         # in the working sphere of 40 mm about its centre
         place = [0.0, 0.0, 0.13] + 0.04 * direction / np.linalg.norm(direction) * rng.random() ** (1.0 / 3.0)
-        assert leg_angles(place, LENGTHS, AZIMUTHS, found)
+        assert machine.leg_angles(place, machine.LENGTHS, machine.AZIMUTHS, found)
         np.testing.assert_allclose(found, kinematics.inverse(place), atol=1e-12)
-        assert grip_force(place, kinematics.torque(place, wanted), LENGTHS, AZIMUTHS, force)
+        assert machine.grip_force(
+            place, kinematics.torque(place, wanted), machine.LENGTHS, machine.AZIMUTHS, force
+        )
         # truncation of a central difference over 10 um
         np.testing.assert_allclose(force, wanted, atol=1e-6)
 
@@ -55,8 +49,8 @@ def test_angles_found_by_search_and_forces_by_differences_are_those_of_the_drive
 @pytest.mark.parametrize("place", [[0.0, 0.0, 0.25], [0.15, 0.0, 0.1], [0.0, 0.12, 0.13]])
 def test_a_place_out_of_reach_is_said(place):
     found, force = np.full(3, 7.0), np.ones(3)
-    assert not leg_angles(np.array(place), LENGTHS, AZIMUTHS, found)
-    assert not grip_force(np.array(place), np.ones(3), LENGTHS, AZIMUTHS, force)
+    assert not machine.leg_angles(np.array(place), machine.LENGTHS, machine.AZIMUTHS, found)
+    assert not machine.grip_force(np.array(place), np.ones(3), machine.LENGTHS, machine.AZIMUTHS, force)
     assert (force == 0.0).all()
 
 
@@ -97,11 +91,11 @@ def test_a_user_who_waits_for_the_blue_lamp_holds_time_up_until_it_is_lit():
     assert falcon.time_s == pytest.approx(waiting + 0.010, abs=1.1e-3)
 
 
-def spoilt_answers(fault: ScriptedFault, count: int = 60) -> list[bytes]:
+def spoilt_answers(fault: ScriptedFault) -> list[bytes]:
     hand = Hand((0.0, 5.0), ((0.0, 0.0, 0.17), (0.0, 0.0, 0.10)), (1.0, 1.0))
     falcon = homed_falcon(hand=hand, faults=(fault,))
     falcon.advance(3.5 - falcon.time_s)
-    return [falcon.receive(HOME) for _ in range(count)]
+    return [falcon.receive(HOME) for _ in range(60)]
 
 
 @pytest.mark.needs_jit
@@ -214,10 +208,10 @@ def test_a_process_that_can_not_start_says_why():
 )
 def test_faults_are_read_and_those_that_are_none_refused(text, fault):
     if fault is not None:
-        assert parse_fault(text) == fault
+        assert machine.parse_fault(text) == fault
         return
     with pytest.raises(UsageError, match="no fault"):
-        parse_fault(text)
+        machine.parse_fault(text)
 
 
 @pytest.mark.needs_jit
@@ -229,8 +223,7 @@ def test_an_emulator_is_compiled_before_it_answers():
         "EmulatedFalcon(EmulatorSettings())\n"
         "print([len(one.signatures) for one in (machine.grip_force, machine.arm_step, machine.leg_angles)])"
     )
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert ended.stdout.strip() == "[1, 1, 1]"
+    assert python("-c", program).stdout == "[1, 1, 1]\n"
 
 
 HELLO, GREETING = b"\nC\r", b"\nD,\r"
@@ -247,7 +240,7 @@ HELLO, GREETING = b"\nC\r", b"\nD,\r"
     ],
 )
 def test_commands_are_read_as_published(packet, motors, homing, lamps):
-    (found,) = CommandReader().feed(packet)
+    (found,) = machine.CommandReader().feed(packet)
     assert (found.motors, found.homing, set(found.lamps)) == (motors, homing, lamps)
 
 

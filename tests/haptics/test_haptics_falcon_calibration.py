@@ -13,13 +13,6 @@ from numpy.typing import ArrayLike
 from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.falcon import calibration as module
-from tissueid.haptics.falcon.calibration import (
-    LONGEST_ARM_M,
-    Calibration,
-    calibration_path,
-    load_calibration,
-    save_calibration,
-)
 from tissueid.haptics.falcon.device import limits_of
 from tissueid.haptics.falcon.kinematics import (
     DEFAULT_GEOMETRY,
@@ -38,9 +31,9 @@ PAGE = (Path(__file__).resolve().parents[2] / "docs" / "devices.md").read_text(e
 def test_what_is_saved_is_loaded(tmp_path):
     file = tmp_path / "new folder" / "falcon.toml"
     weight = ((0.05, 0.7, -0.1), (2.0, *(0.5,) * 8), True)
-    own = Calibration("martin-hillier", 41.5, 5123.4, True, 0.81, True, 1.83, True, True, *weight)
-    assert save_calibration(own, file) == file
-    assert load_calibration(file) == own
+    own = module.Calibration("martin-hillier", 41.5, 5123.4, True, 0.81, True, 1.83, True, True, *weight)
+    assert module.save_calibration(own, file) == file
+    assert module.load_calibration(file) == own
     assert [path.name for path in file.parent.iterdir()] == ["falcon.toml"]
 
 
@@ -55,14 +48,14 @@ def test_file_lies_in_the_configuration_directory(monkeypatch, tmp_path):
     ):
         monkeypatch.setattr(module.sys, "platform", platform)
         monkeypatch.setenv("XDG_CONFIG_HOME", configured)
-        assert calibration_path() == tmp_path / folder / "tissueid" / "falcon.toml"
+        assert module.calibration_path() == tmp_path / folder / "tissueid" / "falcon.toml"
 
 
 def test_without_a_file_or_a_key_the_assumptions_hold(tmp_path):
     file = tmp_path / "falcon.toml"
-    assert load_calibration(file) == Calibration()
+    assert module.load_calibration(file) == module.Calibration()
     file.write_text("zero_angle_deg = 40\n", encoding="utf-8")
-    assert load_calibration(file) == Calibration(zero_angle_deg=40.0)
+    assert module.load_calibration(file) == module.Calibration(zero_angle_deg=40.0)
 
 
 @pytest.mark.parametrize(
@@ -91,7 +84,7 @@ def test_a_damaged_file_is_refused_with_the_way_out(line, reason, tmp_path):
     else:
         file.write_text(line + "\n", encoding="latin-1")
     with pytest.raises(DeviceError, match=reason) as refused:
-        load_calibration(file)
+        module.load_calibration(file)
     assert str(file) in refused.value.message
     assert "delete it" in refused.value.message
 
@@ -106,24 +99,24 @@ def test_a_damaged_file_is_refused_with_the_way_out(line, reason, tmp_path):
 def test_nothing_that_would_be_refused_is_written(tmp_path, wrong, words):
     file = tmp_path / "falcon.toml"
     with pytest.raises(DeviceError, match=f"not kept: {words}"):
-        save_calibration(Calibration(**wrong), file)
+        module.save_calibration(module.Calibration(**wrong), file)
     assert not file.exists()
 
 
 def test_a_place_that_can_not_be_written_is_named(tmp_path):
     (tmp_path / "blocked").write_text("", encoding="utf-8")
     with pytest.raises(DeviceError, match="can't be written"):
-        save_calibration(Calibration(), tmp_path / "blocked" / "falcon.toml")
+        module.save_calibration(module.Calibration(), tmp_path / "blocked" / "falcon.toml")
 
 
 def test_clamp_grows_with_what_was_checked():
     # 2 N until the checklist was passed; 5 N for the worst constant: 5 * 3460 / 6600; 8 N when weighed
-    assert Calibration().clamp_N == 2.0
-    assert Calibration(confirmed=True).clamp_N == pytest.approx(2.621, abs=1e-3)
-    assert Calibration(confirmed=True, force_calibrated=True).clamp_N == 8.0
-    assert Calibration(force_calibrated=True).clamp_N == 2.0
-    assert (limits_of(Calibration()).dead_man, limits_of(Calibration()).clamp_N) == (True, 2.0)
-    assert not limits_of(Calibration(), hands_off=True).dead_man
+    assert module.Calibration().clamp_N == 2.0
+    assert module.Calibration(confirmed=True).clamp_N == pytest.approx(2.621, abs=1e-3)
+    assert module.Calibration(confirmed=True, force_calibrated=True).clamp_N == 8.0
+    assert module.Calibration(force_calibrated=True).clamp_N == 2.0
+    assert (limits_of(module.Calibration()).dead_man, limits_of(module.Calibration()).clamp_N) == (True, 2.0)
+    assert not limits_of(module.Calibration(), hands_off=True).dead_man
 
 
 def rates(place: ArrayLike, geometry: Geometry) -> FloatArray:
@@ -132,8 +125,8 @@ def rates(place: ArrayLike, geometry: Geometry) -> FloatArray:
 
 
 def test_motor_clamp_bounds_the_force_even_of_the_worst_constant():
-    uncalibrated = Calibration(confirmed=True, units_per_Nm=30_000.0)
-    clamp = LONGEST_ARM_M * UNCALIBRATED_N * WORST_UNITS_PER_NM
+    uncalibrated = module.Calibration(confirmed=True, units_per_Nm=30_000.0)
+    clamp = module.LONGEST_ARM_M * UNCALIBRATED_N * WORST_UNITS_PER_NM
     random = np.random.default_rng(3)
     directions = random.normal(size=(300, 3))
     directions *= 0.04 * random.uniform(size=(300, 1)) / np.linalg.norm(directions, axis=1)[:, None]
@@ -146,13 +139,15 @@ def test_motor_clamp_bounds_the_force_even_of_the_worst_constant():
     # 5 N along the worst direction, at 3460 units for one N m, must fit under it, and not much more
     assert worst * 5.0 * 3460.0 == pytest.approx(clamp, rel=0.05)
     assert uncalibrated.clamp_units <= clamp
-    assert Calibration(confirmed=True, force_calibrated=True, units_per_Nm=30_000.0).clamp_units == 4095
+    assert (
+        module.Calibration(confirmed=True, force_calibrated=True, units_per_Nm=30_000.0).clamp_units == 4095
+    )
 
 
 @pytest.mark.parametrize("geometry", sorted(GEOMETRIES))
 def test_motors_have_no_more_torque_than_the_clamp_needs_in_the_middle(geometry):
     """A pose that is believed wrongly turns the clamp into less than twice of it in the middle."""
-    calibration = Calibration(geometry=geometry)
+    calibration = module.Calibration(geometry=geometry)
     torques = calibration.clamp_units / calibration.units_per_Nm
     arms = np.linalg.svd(rates((0.0, 0.0, 0.120), GEOMETRIES[geometry]), compute_uv=False)
     assert torques == pytest.approx(arms[0] * calibration.clamp_N, rel=0.05)
@@ -163,7 +158,7 @@ def test_motors_have_no_more_torque_than_the_clamp_needs_in_the_middle(geometry)
 def test_every_key_and_the_rule_for_its_link_stand_on_the_page():
     rows = dict(re.findall(r"^\| `(\w+)` \| `?([\w.]+)`? \|", PAGE, flags=re.MULTILINE))
     said = {bool: lambda value: str(value).lower(), float: "{:g}".format, tuple: lambda _: "zeros", str: str}
-    calibration = asdict(Calibration())
+    calibration = asdict(module.Calibration())
     assert not any(calibration["weight_N"] + calibration["weight_slope_N_per_m"])
     for key, value in calibration.items():
         assert rows[key] == said[type(value)](value)

@@ -8,13 +8,13 @@ import pty
 import socket
 import struct
 import termios
-import time
 import tty
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
+from command_line import until
 from direct_wire import Direct
 
 from tissueid.errors import DeviceError
@@ -180,11 +180,8 @@ def test_opens_reads_and_closes_on_a_real_descriptor(is_pty):
             assert any(device.read().valid for _ in range(500))
         if isinstance(port, int):
             os.close(port)
-        deadline = time.monotonic() + 5.0
-        while link.falcon.commands < 20 and time.monotonic() < deadline:
-            time.sleep(0.001)
         # all zero commands of closing arrive, though the port is closed at once
-        assert link.falcon.commands >= 20
+        until(lambda: link.falcon.commands >= 20, 5.0)
 
 
 def test_firmware_is_loaded_over_a_pseudo_terminal(tmp_path, monkeypatch):
@@ -198,7 +195,7 @@ def test_firmware_is_loaded_over_a_pseudo_terminal(tmp_path, monkeypatch):
         device.tell = told.append
         with device:
             assert link.falcon.running
-            assert link.falcon.firmware_tries == 2
+            assert link.falcon.boot.tries == 2
     assert told[0].startswith(f"{file} is no firmware known to work (700 bytes, sha256 ")
     assert [line for line in told if line.startswith("firmware, try")] == [
         "firmware, try 1 of 10: the echo of bytes 186 to 247 of the firmware is missing or differs"

@@ -14,18 +14,10 @@ from tissueid.haptics.falcon import firmware as module
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.emulator import EmulatedFalcon, EmulatorSettings
-from tissueid.haptics.falcon.firmware import (
-    Firmware,
-    UploadError,
-    ensure_running,
-    find_firmware,
-    is_running,
-    upload,
-)
 from tissueid.haptics.falcon.transport import LibUsb, TransportLost, without_status
 
 CONTENT = np.random.default_rng(2).bytes(500)
-FILE = Firmware(Path("firmware.bin"), CONTENT, None)
+FILE = module.Firmware(Path("firmware.bin"), CONTENT, None)
 
 
 @pytest.fixture(autouse=True)
@@ -37,15 +29,12 @@ def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("TISSUEID_FALCON_FIRMWARE", raising=False)
 
 
-class Told:
-    """Progress of an upload."""
-
-    def __init__(self) -> None:
-        self.tries: list[str] = []
+class Told(list):
+    """Failed tries of an upload, out of its progress."""
 
     def __call__(self, message: str, _done: int, _all: int) -> None:
         if "try" in message:
-            self.tries.append(message)
+            self.append(message)
 
 
 @pytest.fixture
@@ -66,10 +55,10 @@ def running() -> Direct:
 @pytest.mark.parametrize("wire", [{}, {"long_greeting": True}, {"silent_hellos": 20}])
 def test_an_upload_starts_the_firmware_once_a_hello_is_answered(told, wire):
     transport = bare(**wire)
-    assert not is_running(transport)
-    upload(transport, CONTENT, told)
+    assert not module.is_running(transport)
+    module.upload(transport, CONTENT, told)
     assert transport.falcon.running
-    assert is_running(transport)
+    assert module.is_running(transport)
     assert transport.said == [
         "latency 16", "baud 9600", "8N1", "dtr False", "dtr True",
         "dtr False", "baud 142857", "latency 1", "baud 1500000",
@@ -80,8 +69,8 @@ def test_an_upload_starts_the_firmware_once_a_hello_is_answered(told, wire):
     ("hellos", "tries", "reason"), [(10_000, 0, "no answer to 100 calls"), (0, 1, "echo of bytes 186 to 247")]
 )
 def test_a_loader_that_never_answers_or_echoes_wrongly_is_given_up(told, hellos, tries, reason):
-    with pytest.raises(UploadError, match=reason):
-        upload(bare(tries, silent_hellos=hellos), CONTENT, told)
+    with pytest.raises(module.UploadError, match=reason):
+        module.upload(bare(tries, silent_hellos=hellos), CONTENT, told)
 
 
 @pytest.mark.parametrize(("failing", "opened"), [(2, 3), (99, 10)])
@@ -94,13 +83,13 @@ def test_each_failed_upload_is_followed_by_another_on_a_new_transport_up_to_ten(
         return wires[-1]
 
     if failing < 10:
-        assert ensure_running(open_transport, lambda: FILE, told) is wires[-1]
+        assert module.ensure_running(open_transport, lambda: FILE, told) is wires[-1]
     else:
         with pytest.raises(DeviceError, match=r"in 10 tries; the last: the echo .*\(no hub\)"):
-            ensure_running(open_transport, lambda: FILE, told)
-    assert falcon.firmware_tries == len(wires) == opened
+            module.ensure_running(open_transport, lambda: FILE, told)
+    assert falcon.boot.tries == len(wires) == opened
     assert [one.closed for one in wires] == [True] * (opened - 1) + [failing > 10]
-    assert told.tries == [
+    assert told == [
         f"firmware, try {k} of 10: the echo of bytes 186 to 247 of the firmware is missing or differs"
         for k in range(1, min(failing, 10) + 1)
     ]
@@ -110,15 +99,15 @@ def test_a_device_that_stays_silent_gets_no_ten_tries(monkeypatch, told):
     # a try is 100 calls of 5 ms here, and of 40 ms in use: 8 s are two of them
     monkeypatch.setattr(module, "SILENT_S", 0.8)
     with pytest.raises(DeviceError, match=r"in 2 tries; the last: no answer to 100 calls .*\(no hub\)"):
-        ensure_running(lambda: bare(silent_hellos=10_000), lambda: FILE, told)
-    assert told.tries == [f"firmware, try {k} of 10: no answer to 100 calls of the loader" for k in (1, 2)]
+        module.ensure_running(lambda: bare(silent_hellos=10_000), lambda: FILE, told)
+    assert told == [f"firmware, try {k} of 10: no answer to 100 calls of the loader" for k in (1, 2)]
 
 
 def test_a_file_is_asked_for_where_none_runs_and_a_missing_one_closes_the_transport(told):
     there, transport = running(), bare()
-    assert ensure_running(lambda: there, find_firmware, told) is there
+    assert module.ensure_running(lambda: there, module.find_firmware, told) is there
     with pytest.raises(DeviceError, match=r"--firmware FILE or \$TISSUEID_FALCON_FIRMWARE"):
-        ensure_running(lambda: transport, find_firmware, told)
+        module.ensure_running(lambda: transport, module.find_firmware, told)
     assert transport.closed
 
 
@@ -131,7 +120,7 @@ def test_a_file_that_is_no_firmware_is_refused(content, reason, tmp_path):
     if content is not None:
         file.write_bytes(content)
     with pytest.raises(DeviceError, match=rf"firmware\.bin.*{reason}.*--firmware FILE"):
-        find_firmware(file)
+        module.find_firmware(file)
 
 
 def test_option_comes_before_environment_and_an_unknown_file_is_warned_of(monkeypatch, tmp_path):
@@ -139,13 +128,13 @@ def test_option_comes_before_environment_and_an_unknown_file_is_warned_of(monkey
     first.write_bytes(CONTENT)
     second.write_bytes(b"second")
     monkeypatch.setenv("TISSUEID_FALCON_FIRMWARE", str(second))
-    assert find_firmware().content == b"second"
-    unknown = find_firmware(first)
+    assert module.find_firmware().content == b"second"
+    unknown = module.find_firmware(first)
     digest = hashlib.sha256(CONTENT).hexdigest()
     assert unknown.content == CONTENT
     assert digest[:12] in (unknown.warning or "")
     monkeypatch.setattr(module, "KNOWN", {(digest[:8], digest[-4:], len(CONTENT))})
-    assert find_firmware(first).warning is None
+    assert module.find_firmware(first).warning is None
 
 
 #: Requests: type, request, value, index, length.
@@ -181,7 +170,7 @@ def test_upload_follows_the_known_order_of_lines_rates_and_bytes(usb):
     transport = LibUsb().open()
     content = np.random.default_rng(1).bytes(150)
     seen: list[tuple[int, int]] = []
-    upload(transport, content, lambda _text, done, total: seen.append((done, total)))
+    module.upload(transport, content, lambda _text, done, total: seen.append((done, total)))
     assert usb.lines[len(OPENING) :] == [
         *PURGE, LATENCY_16, HELLO_BAUD, *FRAME, RTS_LOW, DTR_LOW, DTR_HIGH,
         "out 0a 43 0d",
@@ -190,7 +179,7 @@ def test_upload_follows_the_known_order_of_lines_rates_and_bytes(usb):
         LATENCY_1, RUN_BAUD, *PURGE,
     ]  # fmt: skip
     assert seen == [(62, 150), (124, 150), (150, 150)]
-    assert is_running(transport)
+    assert module.is_running(transport)
 
 
 def test_status_bytes_are_taken_out_of_every_64():

@@ -51,7 +51,6 @@ wild = st.fixed_dictionaries(
         "event": st.one_of(st.none(), st.integers(0, 14).map(float)),
     }
 )
-starts = st.sampled_from([*list(State)[:5], *[State.ENGAGED] * 5])
 clamps = st.sampled_from([0.3, 2.0, 5.0, 10.0])
 
 

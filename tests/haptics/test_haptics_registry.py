@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 from importlib.metadata import EntryPoint, EntryPoints
-from pathlib import Path
 from types import ModuleType
 
 import fake_device
 import numpy as np
 import pytest
+from command_line import REPOSITORY, python
 from fake_device import FakeDevice
 
 from tissueid.errors import DeviceError, UsageError
@@ -20,7 +19,7 @@ from tissueid.haptics.device import AskedDevice, DetectedDevice, HapticDevice
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import State
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "devices.md").read_text(encoding="utf-8")
+PAGE = (REPOSITORY / "docs" / "devices.md").read_text(encoding="utf-8")
 
 BROKEN = EntryPoint("broken", "no_such_distribution:Device", registry.DEVICE_GROUP)
 NO_DEVICE = EntryPoint("nothing", "fake_device:law", registry.DEVICE_GROUP)
@@ -72,8 +71,7 @@ def test_asking_for_names_imports_no_device():
         "import sys\nfrom tissueid.haptics import registry\nregistry.device_names()\n"
         "print([m for m in sys.modules if 'falcon' in m or 'haptics.sim' in m or 'forcedim' in m])"
     )
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert ended.stdout.strip() == "[]"
+    assert python("-c", program).stdout == "[]\n"
 
 
 def test_a_device_of_another_distribution_is_found_and_takes_no_built_in_name(plugins):

@@ -10,31 +10,20 @@ import pytest
 from tissueid.errors import BundleError, DeviceError
 from tissueid.haptics import sim as k
 from tissueid.haptics.arm import Arm
-from tissueid.haptics.device import HOMED, REPLY, WORDS_SIZE
-from tissueid.haptics.guard import REPLY_LOST, REPLY_NONE, REPLY_VALID
 from tissueid.haptics.hand import Hand, preset
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.ring import RECORD
-from tissueid.haptics.shared_hand import FAULT_AT, FAULT_KIND, FAULT_SIZE, PHASE
-from tissueid.haptics.sim import (
-    CENTRE_M,
-    ReplayDevice,
-    SimulatedDevice,
-    simulated_advance,
-    simulated_command,
-    simulated_sample,
-)
-from tissueid.haptics.states import State
+from tissueid.haptics.shared_hand import PHASE
 from tissueid.store import session_log
 
-SURFACE = np.array(CENTRE_M)
+SURFACE = np.array(k.CENTRE_M)
 INWARD = np.array([0.0, 0.0, -1.0])
-FREE = Hand((0.0,), (CENTRE_M,), (0.0,))
+FREE = Hand((0.0,), (k.CENTRE_M,), (0.0,))
 SLIPPERY = Arm(mass_kg=0.25, damping_N_s_per_m=0.0, friction_N=0.0)
 QUIET = np.zeros(3)
 
 
-def session(device: SimulatedDevice, ticks: int) -> np.ndarray:
+def session(device: k.SimulatedDevice, ticks: int) -> np.ndarray:
     """Positions that a loop reads while it renders a spring of 400 N/m, shape (ticks, 3)."""
     with device:
         for _ in range(60):
@@ -50,17 +39,10 @@ def session(device: SimulatedDevice, ticks: int) -> np.ndarray:
     return seen
 
 
-def pushed(device: SimulatedDevice, force_N: list[float]) -> None:
+def pushed(device: k.SimulatedDevice, force_N: list[float]) -> None:
     """A tick under a force."""
-    simulated_command(device.memory, device.parameters, np.array(force_N))
-    simulated_advance(device.memory, device.parameters, 1e-3)
-
-
-def heard(device: SimulatedDevice) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
-    """Difference of a reading from the true position, counts, and what is said of reply and homing."""
-    place, counts, words = np.zeros(3), np.zeros(3, np.int64), np.zeros(WORDS_SIZE, np.int64)
-    simulated_sample(device.memory, device.parameters, place, counts, words)
-    return place - device.true_position_m, counts, (int(words[REPLY]), int(words[HOMED]))
+    k.simulated_command(device.memory, device.parameters, np.array(force_N))
+    k.simulated_advance(device.memory, device.parameters, 1e-3)
 
 
 def pressing() -> Hand:
@@ -69,13 +51,13 @@ def pressing() -> Hand:
 
 @pytest.mark.needs_jit
 def test_equal_settings_and_forces_give_equal_samples_bit_for_bit():
-    first = session(SimulatedDevice(hand=pressing(), seed=5), 600)
-    assert (first == session(SimulatedDevice(hand=pressing(), seed=5), 600)).all()
-    assert (first != session(SimulatedDevice(hand=pressing(), seed=6), 600)).any()
+    first = session(k.SimulatedDevice(hand=pressing(), seed=5), 600)
+    assert (first == session(k.SimulatedDevice(hand=pressing(), seed=5), 600)).all()
+    assert (first != session(k.SimulatedDevice(hand=pressing(), seed=6), 600)).any()
 
 
 def test_in_virtual_time_no_clock_is_read():
-    device = SimulatedDevice(hand=pressing(), clock=lambda: pytest.fail("a clock was read"), period_s=5e-4)
+    device = k.SimulatedDevice(hand=pressing(), clock=lambda: pytest.fail("a clock was read"), period_s=5e-4)
     session(device, 100)
     # 160 written forces and the twenty zero forces of closing
     assert device.time_s == pytest.approx(180 * 5e-4, abs=1e-12)
@@ -84,18 +66,18 @@ def test_in_virtual_time_no_clock_is_read():
 @pytest.mark.parametrize("dt", [1e-3, 0.1])
 @pytest.mark.parametrize("delay_ticks", [0.0, 1.0, 1.5, 2.3])
 def test_a_force_is_felt_after_its_delay_and_not_before_also_in_a_stall(delay_ticks, dt):
-    device = SimulatedDevice(hand=FREE, arm=SLIPPERY, delay_ticks=delay_ticks)
-    simulated_command(device.memory, device.parameters, np.array([0.0, 0.0, 2.0]))
+    device = k.SimulatedDevice(hand=FREE, arm=SLIPPERY, delay_ticks=delay_ticks)
+    k.simulated_command(device.memory, device.parameters, np.array([0.0, 0.0, 2.0]))
     for _ in range(5):
-        simulated_advance(device.memory, device.parameters, dt)
-    fell = device.true_position_m[2] - CENTRE_M[2]
+        k.simulated_advance(device.memory, device.parameters, dt)
+    fell = device.true_position_m[2] - k.CENTRE_M[2]
     # a constant force is integrated exactly by the midpoint rule
     assert fell == pytest.approx(0.5 * 2.0 / 0.25 * (5 * dt - delay_ticks * 1e-3) ** 2, rel=1e-9)
     assert device.memory[k.LOST] == 0.0
 
 
 def test_forces_take_over_from_each_other_within_a_tick():
-    device = SimulatedDevice(hand=FREE, arm=SLIPPERY, delay_ticks=1.5)
+    device = k.SimulatedDevice(hand=FREE, arm=SLIPPERY, delay_ticks=1.5)
     for force in (1.0, -3.0, 0.0, 0.0, 0.0):
         pushed(device, [force, 0.0, 0.0])
     # 1 N from 1.5 to 2.5 ms, -3 N from 2.5 to 3.5 ms, then free flight to 5 ms
@@ -107,25 +89,25 @@ def test_forces_take_over_from_each_other_within_a_tick():
 
 @pytest.mark.needs_jit
 def test_positions_are_rounded_to_counts_without_a_mean_error():
-    device = SimulatedDevice(hand=FREE, arm=SLIPPERY, quantum_m=60e-6, seed=3)
-    errors = []
+    device = k.SimulatedDevice(hand=FREE, arm=SLIPPERY, quantum_m=60e-6, seed=3)
+    errors, place, counts = [], np.zeros(3), np.zeros(3, np.int64)
     for _ in range(2000):
         pushed(device, [0.01, -0.013, 0.007])
-        errors.append(heard(device)[0])
+        k.simulated_sample(device.memory, device.parameters, place, counts)
+        errors.append(place - device.true_position_m)
     assert np.abs(errors).max() <= 30e-6 * (1.0 + 1e-9)
     # evenly spread over a count of 60 um: sd of the mean of at least some 300 counts passed is 1 um
     assert np.abs(np.mean(errors, axis=0)).max() < 4e-6
 
 
 def test_the_compiled_blocks_are_the_device():
-    device = SimulatedDevice(hand=pressing(), seed=9)
+    device = k.SimulatedDevice(hand=pressing(), seed=9)
     io = device.compiled()
     assert io.kind == "tissueid.haptics.sim:SIMULATED"
     with device:
         for _ in range(50):
-            assert heard(device)[2] == (REPLY_VALID, 1)
-            simulated_command(io.memory, io.constants, QUIET)
-            simulated_advance(io.memory, io.constants, 1e-3)
+            k.simulated_command(io.memory, io.constants, QUIET)
+            k.simulated_advance(io.memory, io.constants, 1e-3)
         assert device.time_s == pytest.approx(0.05, abs=1e-12)
         there = device.true_position_m / 45e-6 + io.constants[PHASE : PHASE + 3]
         assert (device.read().counts == np.floor(there)).all()
@@ -133,7 +115,7 @@ def test_the_compiled_blocks_are_the_device():
 
 def test_in_real_time_the_arm_moves_with_the_clock():
     now = [100.0]
-    device = SimulatedDevice(hand=pressing(), real_time=True, clock=lambda: now[0])
+    device = k.SimulatedDevice(hand=pressing(), real_time=True, clock=lambda: now[0])
     with device:
         device.read()
         for step in (1e-3, 3e-3, 0.05):
@@ -143,45 +125,12 @@ def test_in_real_time_the_arm_moves_with_the_clock():
     assert device.time_s == pytest.approx(0.054, abs=1e-12)
 
 
-#: Reply and homing that a scripted fault leaves.
-SAID = {
-    k.FAULT_SILENT: (REPLY_NONE, 0), k.FAULT_GONE: (REPLY_LOST, 0), k.FAULT_UNHOMED: (REPLY_VALID, 0),
-    k.FAULT_FROZEN: (REPLY_VALID, 1),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(("kind", "said"), SAID.items())
-def test_scripted_faults_begin_at_their_time(kind, said):
-    device = SimulatedDevice(hand=FREE, arm=SLIPPERY)
-    device.parameters[[FAULT_KIND, FAULT_AT]] = kind, 0.010
-    answers, seen = [], []
-    for _ in range(40):
-        _, counts, answer = heard(device)
-        answers.append(answer)
-        seen.append(int(counts[0]))
-        pushed(device, [5.0, 0.0, 0.0])
-    assert set(answers[:10]) == {(REPLY_VALID, 1)}
-    assert set(answers[11:]) == {said}
-    assert (len(set(seen[12:])) == 1) == (kind != k.FAULT_UNHOMED)
-
-
-def test_a_jump_is_one_encoder_off_by_its_size_and_a_device_that_is_gone_ends_in_fault():
-    device = SimulatedDevice(hand=FREE)
-    with device:
-        device.parameters[[FAULT_KIND, FAULT_SIZE]] = k.FAULT_JUMP, 300.0
-        np.testing.assert_allclose(heard(device)[0], [300 * 45e-6, 0.0, 0.0], atol=22.6e-6)
-        device.parameters[FAULT_KIND] = k.FAULT_GONE
-        with pytest.raises(DeviceError, match="unplugged"):
-            device.read()
-        assert device.state is State.FAULT
-
-
 def test_it_is_always_there_and_has_no_motors_and_impossible_ones_are_refused():
     for wrong in ({"quantum_m": 0.0}, {"delay_ticks": -1.0}, {"delay_ticks": 40.0}, {"period_s": 0.0}):
         with pytest.raises(ValueError, match="needs a positive quantum"):
-            SimulatedDevice(**wrong)
-    assert SimulatedDevice.detect()[0].note == ""
-    capabilities = SimulatedDevice(GuardLimits.simulated()).capabilities
+            k.SimulatedDevice(**wrong)
+    assert k.SimulatedDevice.detect()[0].note == ""
+    capabilities = k.SimulatedDevice(GuardLimits.simulated()).capabilities
     assert (capabilities.hardware, capabilities.delay_ticks) == (False, 1.5)
 
 
@@ -195,11 +144,11 @@ def motion(count: int = 200) -> np.ndarray:
     return records
 
 
-def player(monkeypatch: pytest.MonkeyPatch, records: np.ndarray, **options: object) -> ReplayDevice:
+def player(monkeypatch: pytest.MonkeyPatch, records: np.ndarray, **options: object) -> k.ReplayDevice:
     """A replay device of records that need no file."""
     log = session_log.SessionLog(head={}, records=records, summary=None)
     monkeypatch.setattr(session_log, "read_session_log", lambda _path: log)
-    return ReplayDevice(log="motion.h5", **options)
+    return k.ReplayDevice(log="motion.h5", **options)
 
 
 def test_it_is_where_the_log_says_and_between_records_on_their_line(monkeypatch):
@@ -257,8 +206,8 @@ def test_a_log_that_is_none_is_refused_and_a_missing_one_asked_for(tmp_path: Pat
     file = tmp_path / "log.h5"
     file.write_bytes(b"something else")
     with pytest.raises(BundleError, match=r"log\.h5"):
-        ReplayDevice(log=file)
+        k.ReplayDevice(log=file)
     with pytest.raises(DeviceError, match="give one with --replay"):
-        ReplayDevice().open()
-    assert "needs the log" in ReplayDevice.detect()[0].note
-    assert not ReplayDevice().capabilities.hardware
+        k.ReplayDevice().open()
+    assert "needs the log" in k.ReplayDevice.detect()[0].note
+    assert not k.ReplayDevice().capabilities.hardware

@@ -132,9 +132,9 @@ INTERPRETED = (
         {
             "tissue remembers another": ("    put_at_rest(environment_memory)\n", ""),
             "a gap is one tick": ("        servo.since_valid[0] = 0.0\n", ""),
-            "energy of what was wanted": ("    note_sent(servo.control_memory, servo.out)\n", ""),
+            "energy of what was wanted": ("    passivity.note_sent(servo.control_memory, servo.out)\n", ""),
             "the owner's wish unheard": (
-                "        transition(guard_memory, limits, DISENGAGE)",
+                "        machine.transition(guard_memory, limits, machine.DISENGAGE)",
                 "        pass",
             ),
             "the step is a millisecond": (
@@ -142,10 +142,13 @@ INTERPRETED = (
                 "step = 1e-3",
             ),
             "an old reading moved the hand": (
-                "    fresh = servo.counters[SEEN] < FRESH_READINGS or memory[STATE] <= HOMING\n",
-                "    fresh = False\n",
+                "    fresh = servo.counters[SEEN] < FRESH_READINGS or memory[machine.STATE]",
+                "    fresh = False and memory[machine.STATE]",
             ),
-            "unanswered commands unseen": ("    observe_wire(memory, limits, words[UNANSWERED], dt)\n", ""),
+            "unanswered commands unseen": (
+                "    machine.observe_wire(memory, limits, words[devices.UNANSWERED], dt)\n",
+                "",
+            ),
         },
     ),
     *faults(
@@ -173,8 +176,8 @@ INTERPRETED = (
                 "force[i] = -device_force * memory[NORMAL + i]",
             ),
             "the motion is not scaled": (
-                "depth = penetration / parameters[MOTION_SCALE] * M_TO_MM",
-                "depth = penetration * M_TO_MM",
+                "depth = penetration / parameters[MOTION_SCALE] * gd.M_TO_MM",
+                "depth = penetration * gd.M_TO_MM",
             ),
             "broken tissue is whole": ("        memory[BROKEN] = 1.0\n", "        pass\n"),
         },
@@ -234,8 +237,8 @@ COMPILED = (
                 "        if length <= 0:\n            length = 0\n",
             ),
             "homing mode is left": (
-                "leds_of_state(int(guard_memory[STATE])), True,",
-                "leds_of_state(int(guard_memory[STATE])), False,",
+                "packets.encode_into(parts.motor, leds, True,",
+                "packets.encode_into(parts.motor, leds, False,",
             ),
             "a leg that goes on alone is believed": (
                 "elif not found or _alone(parts.since, parts.last, counts):",

@@ -106,12 +106,12 @@ def test_the_newest_record_goes_out_and_not_too_often(pair):
 
 def test_requests_are_heard_on_loopback_and_a_flood_is_bounded(pair):
     _, bridge = pair
-    assert bridge.listens_on[0] == "127.0.0.1"
+    assert bridge._in.getsockname()[0] == "127.0.0.1"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        sender.sendto(b"nonsense", bridge.listens_on)
+        sender.sendto(b"nonsense", bridge._in.getsockname())
         request = json.dumps({"v": 1, "token": bridge.token, "tissue": 0}).encode()
         for _ in range(100):
-            sender.sendto(request, bridge.listens_on)
+            sender.sendto(request, bridge._in.getsockname())
     first = bridge.requests()
     assert len(first) == 31
     assert bridge.dropped == 1
@@ -130,4 +130,4 @@ def test_nobody_listening_is_no_error(pair):
 def test_a_port_that_is_taken_is_named(pair):
     _, bridge = pair
     with pytest.raises(UsageError, match="choose another port"):
-        UdpBridge(("127.0.0.1", bridge.listens_on[1] - 1))
+        UdpBridge(("127.0.0.1", bridge._in.getsockname()[1] - 1))

@@ -12,25 +12,11 @@ from rendered_tissues import PAPER_A, bundle_of
 from tissueid.documents.identification import TipGeometry
 from tissueid.errors import BundleError, UsageError
 from tissueid.haptics.sim import SimulatedDevice
+from tissueid.rendering import options, tissue_block
 from tissueid.rendering import surface as srf
-from tissueid.rendering.options import (
-    Functional,
-    as_tissue,
-    noticeable_ratio,
-    parse_functional,
-    pick_draw,
-    pick_quantile,
-)
 from tissueid.rendering.session_plan import REST_S, check_pseudonym, draw_order, read_script, write_key
-from tissueid.rendering.tissue_block import (
-    parse_surface,
-    place_surface,
-    surface_from,
-    surface_remarks,
-    travel_behind,
-)
 
-SIX_MM = Functional(6.0, 250.0 / 60.0)
+SIX_MM = options.Functional(6.0, 250.0 / 60.0)
 
 
 def softer(share: float) -> np.ndarray:
@@ -44,42 +30,42 @@ def test_a_functional_is_read_as_it_is_said_or_refused():
         ("  force  at 2.5mm ,  4 mm/s ", 2.5, 4.0),
         ("force at .5 mm, 10 mm / min", 0.5, 10.0 / 60.0),
     ):
-        assert parse_functional(text) == Functional(depth, pytest.approx(speed))
+        assert options.parse_functional(text) == options.Functional(depth, pytest.approx(speed))
     for text in ("", "stiffness", "force at 6 mm", "force at 0 mm, 250 mm/min", "force at -1 mm, 2 mm/s"):
         with pytest.raises(UsageError):
-            parse_functional(text)
+            options.parse_functional(text)
 
 
 def test_the_quantile_is_rendered_by_the_nearest_draw():
     shares = np.random.default_rng(4).uniform(0.8, 1.2, 101)
     bundle = bundle_of(PAPER_A, draws=np.array([softer(share) for share in shares]))
-    picked = pick_quantile(bundle, 0.5, SIX_MM)
+    picked = options.pick_quantile(bundle, 0.5, SIX_MM)
     # the functional is linear in the share, so its median is the median share, and a draw has it
     assert picked.draw == int(np.argsort(shares)[50])
     assert np.array_equal(picked.tissue.theta, softer(shares[picked.draw]))
-    assert np.array_equal(pick_draw(bundle, 7).tissue.theta, softer(shares[7]))
+    assert np.array_equal(options.pick_draw(bundle, 7).tissue.theta, softer(shares[7]))
 
 
 def test_a_bundle_without_draws_has_no_quantile():
-    for pick in (lambda b: pick_quantile(b, 0.5, SIX_MM), lambda b: pick_draw(b, 0)):
+    for pick in (lambda b: options.pick_quantile(b, 0.5, SIX_MM), lambda b: options.pick_draw(b, 0)):
         with pytest.raises(UsageError, match="no posterior draws"):
             pick(bundle_of(PAPER_A))
 
 
 def test_a_normalised_bundle_can_not_be_felt():
     with pytest.raises(BundleError, match="normalised"):
-        as_tissue(bundle_of(PAPER_A, units={"length": "1", "force": "MPa", "time": "s"}))
+        options.as_tissue(bundle_of(PAPER_A, units={"length": "1", "force": "MPa", "time": "s"}))
 
 
 def test_a_difference_of_seven_percent_is_just_noticeable():
     stiffer = replace(PAPER_A, theta=softer(1.0 / (1.0 - 0.035)))
     softened = replace(PAPER_A, theta=softer(1.0 / (1.0 + 0.035)))
-    one, other, ratio = noticeable_ratio(stiffer, softened, SIX_MM, force_scale=0.02)
+    one, other, ratio = options.noticeable_ratio(stiffer, softened, SIX_MM, force_scale=0.02)
     assert one / other == pytest.approx(1.035 / 0.965, rel=1e-9)
     # (1/0.965 - 1/1.035) over 7 % of their mean
     assert ratio == pytest.approx((1 / 0.965 - 1 / 1.035) / (0.07 * 0.5 * (1 / 0.965 + 1 / 1.035)), rel=1e-9)
     # under 0.5 N the difference that is noticed no longer shrinks with the force
-    _, _, faint = noticeable_ratio(stiffer, softened, SIX_MM, force_scale=0.0002)
+    _, _, faint = options.noticeable_ratio(stiffer, softened, SIX_MM, force_scale=0.0002)
     assert faint < 0.1 * ratio
 
 
@@ -116,54 +102,54 @@ def test_an_answer_key_is_for_its_owner_and_never_overwritten(tmp_path):
         write_key(tmp_path / "missing" / "key.json", order, [])
 
 
-def test_a_cone_that_the_bundle_states_is_a_tip_without_a_radius():
-    plane = parse_surface("plane")
-    assert "with which tip" in surface_remarks(replace(PAPER_A, tip_radius_mm=None), plane, None)[0]
+def test_an_unknown_tip_is_remarked_and_a_cone_that_the_bundle_states_has_no_radius():
+    plane = tissue_block.parse_surface("plane")
+    assert (
+        "with which tip" in tissue_block.surface_remarks(replace(PAPER_A, tip_radius_mm=None), plane, None)[0]
+    )
     cone = replace(PAPER_A, tip_radius_mm=None, tip=TipGeometry("cone", 30.0))
-    assert surface_remarks(cone, plane, None) == []
+    assert tissue_block.surface_remarks(cone, plane, None) == []
 
 
 def test_surfaces_are_read_and_refused():
-    assert parse_surface("plane") == ("plane", ())
-    assert parse_surface(" sphere 60 mm") == ("sphere", (60.0,))
-    assert parse_surface("box 60 x 50.5 x 40 mm") == ("box", (60.0, 50.5, 40.0))
+    assert tissue_block.parse_surface("plane") == ("plane", ())
+    assert tissue_block.parse_surface(" sphere 60 mm") == ("sphere", (60.0,))
+    assert tissue_block.parse_surface("box 60 x 50.5 x 40 mm") == ("box", (60.0, 50.5, 40.0))
     for text in ("", "sphere", "sphere 0 mm", "box 1 x 2 mm", "sphere -3 mm", "ball 3 mm"):
         with pytest.raises(UsageError):
-            parse_surface(text)
+            tissue_block.parse_surface(text)
 
 
 @pytest.mark.parametrize("shape", [("plane", ()), ("sphere", (60.0,)), ("box", (60.0, 60.0, 40.0))])
 def test_every_surface_is_touched_at_the_same_height(shape):
     device = SimulatedDevice().capabilities
-    placed = place_surface(shape, device, depth_mm=8.0, motion_scale=5.0, tool_radius_m=0.01)
+    placed = tissue_block.place_surface(shape, device, depth_mm=8.0, motion_scale=5.0, tool_radius_m=0.01)
     block, memory = placed.numbers(0.01), np.zeros(srf.TOUCH_SIZE)
     # 20 mm above the middle of the workspace, so that 40 mm of travel lie around it
     height = 0.130 + 0.020
     assert srf.touch(block, 0, np.array([0.0, 0.0, height]), memory, 0) == pytest.approx(0.0, abs=1e-12)
     assert memory[srf.OUTWARD :] == pytest.approx([0.0, 0.0, 1.0])
-    assert travel_behind(placed, device, tool_radius_m=0.01) == pytest.approx(0.060)
-    assert np.array_equal(surface_from(block).numbers(0.01), block)
+    assert tissue_block.travel_behind(placed, device, tool_radius_m=0.01) == pytest.approx(0.060)
+    assert np.array_equal(tissue_block.surface_from(block).numbers(0.01), block)
 
 
-def test_a_tip_that_was_not_identified_is_refused_and_an_unknown_one_remarked():
-    assert surface_remarks(PAPER_A, ("plane", ()), 2.0) == []
+def test_a_tip_that_was_not_identified_is_refused():
+    assert tissue_block.surface_remarks(PAPER_A, ("plane", ()), 2.0) == []
     with pytest.raises(BundleError, match="identified with a tip of 2 mm"):
-        surface_remarks(PAPER_A, ("plane", ()), 3.0)
-    unknown = replace(PAPER_A, tip_radius_mm=None)
-    assert "does not say" in surface_remarks(unknown, ("plane", ()), None)[0]
+        tissue_block.surface_remarks(PAPER_A, ("plane", ()), 3.0)
 
 
 def test_curvature_is_remarked_then_refused_by_hertz():
     # 1 - sqrt(R / (R + r)) for a tip of 2 mm: 2 % at R = 48.5 mm, 25 % at 2.57 mm
-    assert surface_remarks(PAPER_A, ("sphere", (60.0,)), None) == []
-    (remark,) = surface_remarks(PAPER_A, ("sphere", (30.0,)), None)
+    assert tissue_block.surface_remarks(PAPER_A, ("sphere", (60.0,)), None) == []
+    (remark,) = tissue_block.surface_remarks(PAPER_A, ("sphere", (30.0,)), None)
     assert "3 % softer" in remark
     with pytest.raises(BundleError, match="too small"):
-        surface_remarks(PAPER_A, ("sphere", (10.0,)), None)
+        tissue_block.surface_remarks(PAPER_A, ("sphere", (10.0,)), None)
     large_tip = replace(PAPER_A, tip_radius_mm=40.0)
     with pytest.raises(BundleError, match="38 % softer"):
-        surface_remarks(large_tip, ("sphere", (25.0,)), None)
-    (edge,) = surface_remarks(large_tip, ("box", (60.0, 60.0, 40.0)), None)
+        tissue_block.surface_remarks(large_tip, ("sphere", (25.0,)), None)
+    (edge,) = tissue_block.surface_remarks(large_tip, ("box", (60.0, 60.0, 40.0)), None)
     assert "edges" in edge
 
 

@@ -10,16 +10,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from tissueid.rendering.control import simulation
 from tissueid.rendering.control.settings import ControlSettings, Gains, Mechanics, Signal
-from tissueid.rendering.control.simulation import (
-    ControlRun,
-    damping_form,
-    generalised_force,
-    loop_block,
-    saturated,
-    simulate,
-    solved,
-)
 from tissueid.rendering.options import preset_tissue
 
 PAPER_A = preset_tissue("paper-a")
@@ -31,7 +23,7 @@ SKEWED = Mechanics([[1.2, 0.2], [0.2, 0.9]], [[20.0, 3.0], [3.0, 15.0]], [[30.0,
 HAND = Mechanics([[0.9, 0.1], [0.1, 0.6]], [[4.0, 0.0], [0.0, 3.0]], [[60.0, 5.0], [5.0, 40.0]])
 
 
-def learning(variant: str, scale: float, sign: int = 1, **changes: Any) -> ControlRun:
+def learning(variant: str, scale: float, sign: int = 1, **changes: Any) -> simulation.ControlRun:
     """A loop of which sampling and delay leave next to nothing."""
     settings = ControlSettings(
         PAPER_A,
@@ -45,10 +37,10 @@ def learning(variant: str, scale: float, sign: int = 1, **changes: Any) -> Contr
         unchecked=True,
     )
     settings = replace(settings, **changes)
-    return simulate(replace(settings, start_estimates=np.zeros(settings.estimated_truth().size)))
+    return simulation.simulate(replace(settings, start_estimates=np.zeros(settings.estimated_truth().size)))
 
 
-def by_hand(run: ControlRun) -> tuple[np.ndarray, np.ndarray]:
+def by_hand(run: simulation.ControlRun) -> tuple[np.ndarray, np.ndarray]:
     """V and the right side of (I-4) of one axis, from the recorded motion and nothing else of the package."""
     s, rho = run.settings, run.rho_m_s[:, 0]
     total = {"A": (1.158 + 1.25, 115.4 + 2.0, 31.46 + 30.0), "B": (1.158, 115.4, 31.46)}[s.variant]
@@ -61,7 +53,7 @@ def by_hand(run: ControlRun) -> tuple[np.ndarray, np.ndarray]:
     return V, -(100.0 + total[1]) * rho**2 - rho * unknown - rho * robust
 
 
-def mismatch(run: ControlRun) -> float:
+def mismatch(run: simulation.ControlRun) -> float:
     """Largest difference of V' from what (I-4) says of it, as a share of the largest that is said."""
     rate = run.lyapunov_rate
     said = 0.5 * (rate[1:] + rate[:-1])
@@ -100,12 +92,12 @@ def test_matrices_of_several_axes_come_back_from_their_parameters():
     theta = Mechanics(*parts).parameters()
     x, vr, ar = rng.normal(size=(3, n))
 
-    force = generalised_force(theta, x, vr, ar)
+    force = simulation.generalised_force(theta, x, vr, ar)
 
     np.testing.assert_allclose(force, parts[0] @ ar + parts[1] @ vr + parts[2] @ x, rtol=1e-12)
-    assert damping_form(theta, x) == pytest.approx(x @ parts[1] @ x, rel=1e-12)
-    np.testing.assert_allclose(parts[0] @ solved(parts[0].copy(), force), force, rtol=1e-9)
-    pivoted = solved(np.array([[0.0, 2.0], [3.0, 1.0]]), np.array([2.0, 5.0]))
+    assert simulation.damping_form(theta, x) == pytest.approx(x @ parts[1] @ x, rel=1e-12)
+    np.testing.assert_allclose(parts[0] @ simulation.solved(parts[0].copy(), force), force, rtol=1e-9)
+    pivoted = simulation.solved(np.array([[0.0, 2.0], [3.0, 1.0]]), np.array([2.0, 5.0]))
     np.testing.assert_allclose(pivoted, [4.0 / 3.0, 1.0], rtol=1e-12)
 
 
@@ -117,7 +109,7 @@ def test_axes_that_know_nothing_of_each_other_move_as_one_axis_does():
         operator=Mechanics(np.diag([1.25, 0.8]), np.diag([2.0, 1.0]), np.diag([30.0, 20.0])),
     )
 
-    alone, first = simulate(one), simulate(two)
+    alone, first = simulation.simulate(one), simulation.simulate(two)
 
     assert alone.position_m[-1, 0] > 1e-6
     np.testing.assert_allclose(first.position_m[:, 0], alone.position_m[:, 0], atol=1e-15)
@@ -179,12 +171,13 @@ def test_the_sampled_loop_tends_to_the_solution_of_the_differential_equations(va
     right = radau(base, times)
     size = np.sqrt(np.mean(right**2))
 
-    def off(run: ControlRun) -> float:
+    def off(run: simulation.ControlRun) -> float:
         every = round(run.settings.rate_Hz / 1000.0)
         return float(np.sqrt(np.mean((run.position_m[::every, 0] - right) ** 2)) / size)
 
     shares = [
-        off(simulate(replace(base, rate_Hz=rate))) for rate in (1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
+        off(simulation.simulate(replace(base, rate_Hz=rate)))
+        for rate in (1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
     ]
 
     assert all(later < 0.7 * earlier for earlier, later in pairwise(shares)), shares
@@ -194,7 +187,7 @@ def test_the_sampled_loop_tends_to_the_solution_of_the_differential_equations(va
 def test_a_command_longer_than_the_device_gives_is_shortened_in_its_direction():
     most = 7.0
     settings = ControlSettings(PAPER_A, gains=Gains(saturation_N=most))
-    block = loop_block(settings, period_s=1e-3, substeps=1)
+    block = simulation.loop_block(settings, period_s=1e-3, substeps=1)
     for length, kept in ((0.5, 0.5), (1.0, 1.0), (3.0, 1.0)):
-        u = saturated(block, length * most * np.array([0.6, -0.8]))
+        u = simulation.saturated(block, length * most * np.array([0.6, -0.8]))
         np.testing.assert_allclose(u, kept * most * np.array([0.6, -0.8]), rtol=1e-12)

@@ -10,16 +10,8 @@ from closed_forms import from_coordinates
 
 from tissueid.errors import UsageError
 from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.rendering.control import settings as control
 from tissueid.rendering.control.document import measured
-from tissueid.rendering.control.settings import (
-    ControlSettings,
-    Gains,
-    Mechanics,
-    Signal,
-    VirtualTool,
-    turn_multiplier,
-    virtual_mass_bound,
-)
 from tissueid.rendering.control.simulation import ControlRun, simulate
 from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.tissue_block import Tissue
@@ -29,8 +21,8 @@ M_D, M_H = 1.158, 1.25
 SCALES = [1.0, 100.0]
 
 
-def table_3(variant: str, scale: float = 1.0) -> ControlSettings:
-    return ControlSettings(PAPER_A, variant=variant, stiffness_scale=scale)
+def table_3(variant: str, scale: float = 1.0) -> control.ControlSettings:
+    return control.ControlSettings(PAPER_A, variant=variant, stiffness_scale=scale)
 
 
 @pytest.mark.needs_jit
@@ -49,11 +41,11 @@ def test_sustained_contact_is_tracked_whatever_the_stiffness(variant, bar_mm, sc
 def test_learning_halves_the_error_where_the_robust_term_does_not_cover_the_dynamics():
     settings = replace(
         table_3("B"),
-        gains=Gains(adaptation=(5.0, 500.0, 5000.0), disturbance_bound_N=1.0, damping_N_s_per_m=20.0),
+        gains=control.Gains(adaptation=(5.0, 500.0, 5000.0), disturbance_bound_N=1.0, damping_N_s_per_m=20.0),
         start_estimates=np.zeros(3),
-        push=Signal((2.0,), (3.0,), (1.0,)),
+        push=control.Signal((2.0,), (3.0,), (1.0,)),
         # within what the robust term covers
-        disturbance=Signal((0.0,), (0.5,), (3.0,)),
+        disturbance=control.Signal((0.0,), (0.5,), (3.0,)),
     )
 
     adaptive, frozen = simulate(settings), simulate(settings.frozen())
@@ -87,7 +79,7 @@ def test_the_bound_of_the_proof_is_broken_by_sampling_and_v_stays_bounded(varian
 @pytest.mark.needs_jit
 def test_the_bound_of_the_proof_holds_where_next_to_nothing_is_sampled():
     fast = {"rate_Hz": 2e5, "substeps": 1, "seconds": 1.0, "unchecked": True}
-    settings = replace(table_3("A"), gains=Gains(sigma_start=2.0), **fast)
+    settings = replace(table_3("A"), gains=control.Gains(sigma_start=2.0), **fast)
 
     assert measured(simulate(settings)).violated_share == 0.0
 
@@ -99,7 +91,7 @@ def test_hard_impacts_on_stiff_tissue_are_bounded_with_projection_and_diverge_wi
     hard = replace(hard, start_estimates=hard.estimated_truth())
 
     kept = simulate(hard)
-    lost = simulate(replace(hard, gains=Gains(projection=False)))
+    lost = simulate(replace(hard, gains=control.Gains(projection=False)))
 
     assert kept.diverged_s is None
     assert kept.error_mm.max() < 20.0
@@ -110,21 +102,19 @@ def test_hard_impacts_on_stiff_tissue_are_bounded_with_projection_and_diverge_wi
 
 
 def test_the_bound_of_the_virtual_mass_has_its_closed_forms():
-    assert virtual_mass_bound(table_3("A")) == pytest.approx(M_H, rel=1e-9)
-    assert virtual_mass_bound(table_3("B")) == pytest.approx(M_D * M_H / (M_D + 2.0 * M_H), rel=1e-9)
-    # a wrong estimate moves it in proportion
-    assert virtual_mass_bound(table_3("A"), estimate=1.25) == pytest.approx(1.25 * M_H, rel=1e-9)
-    assert turn_multiplier(table_3("A"), 2.0) == pytest.approx(M_H / 2.0, rel=1e-9)
-    massless = replace(table_3("B"), operator=Mechanics(0.0, 2.0, 30.0))
-    assert virtual_mass_bound(massless) == 0.0
+    assert control.virtual_mass_bound(table_3("A")) == pytest.approx(M_H, rel=1e-9)
+    assert control.virtual_mass_bound(table_3("B")) == pytest.approx(M_D * M_H / (M_D + 2.0 * M_H), rel=1e-9)
+    assert control.turn_multiplier(table_3("A"), 2.0) == pytest.approx(M_H / 2.0, rel=1e-9)
+    massless = replace(table_3("B"), operator=control.Mechanics(0.0, 2.0, 30.0))
+    assert control.virtual_mass_bound(massless) == 0.0
     # of several axes that don't mix the worst counts
-    two = ControlSettings(
+    two = control.ControlSettings(
         PAPER_A,
         variant="A",
-        device=Mechanics(np.diag([1.0, 2.0]), np.eye(2), np.eye(2)),
-        operator=Mechanics(np.diag([0.5, 1.7]), np.eye(2), np.eye(2)),
+        device=control.Mechanics(np.diag([1.0, 2.0]), np.eye(2), np.eye(2)),
+        operator=control.Mechanics(np.diag([0.5, 1.7]), np.eye(2), np.eye(2)),
     )
-    assert virtual_mass_bound(two) == pytest.approx(1.7, rel=1e-9)
+    assert control.virtual_mass_bound(two) == pytest.approx(1.7, rel=1e-9)
 
 
 @pytest.mark.needs_jit
@@ -133,13 +123,13 @@ def test_below_the_bound_a_loop_is_refused_and_would_be_unstable(variant, bound_
     # from th = truth: from smaller estimates the same loop may look stable for a while
     settings = table_3(variant)
     settings = replace(settings, start_estimates=settings.estimated_truth(), seconds=6.0)
-    light = replace(settings, tool=VirtualTool(0.96 * bound_kg))
+    light = replace(settings, tool=control.VirtualTool(0.96 * bound_kg))
 
     with pytest.raises(UsageError, match=rf"virtual mass of .* take {1.5 * bound_kg:.3g} kg or more"):
         simulate(light)
 
     assert simulate(replace(light, unchecked=True)).diverged_s is not None
-    assert simulate(replace(settings, tool=VirtualTool(1.5 * bound_kg))).diverged_s is None
+    assert simulate(replace(settings, tool=control.VirtualTool(1.5 * bound_kg))).diverged_s is None
 
 
 @pytest.mark.needs_jit
@@ -164,7 +154,7 @@ def test_sigma_below_its_floor_chatters():
     def jumps(run: ControlRun) -> float:
         return float(np.sqrt(np.mean(np.diff(run.control_force_N[-5000:, 0]) ** 2)))
 
-    below = simulate(replace(settings, gains=Gains(sigma_floor=0.2 * floor)))
+    below = simulate(replace(settings, gains=control.Gains(sigma_floor=0.2 * floor)))
     above = simulate(settings)
 
     assert settings.sigma_floor() == pytest.approx(3.0 * floor)
@@ -174,7 +164,7 @@ def test_sigma_below_its_floor_chatters():
 @pytest.mark.needs_jit
 def test_an_impedance_type_environment_is_felt_and_bears_less_stiffness():
     """As the source of the controller has it: admittance renders markedly stiffer contacts."""
-    base = replace(table_3("B"), environment="impedance", tool=VirtualTool(2.0, 60.0), seconds=6.0)
+    base = replace(table_3("B"), environment="impedance", tool=control.VirtualTool(2.0, 60.0), seconds=6.0)
 
     found = measured(simulate(base))
     # the device follows the velocity of the virtual tool, and the tissue carries the push
@@ -194,9 +184,9 @@ def test_an_impedance_type_environment_is_felt_and_bears_less_stiffness():
         ({"environment": "other"}, "give admittance or impedance"),
         ({"stiffness_scale": 0.0}, "stiffness scale is 0, must be above 0"),
         ({"seconds": float("nan")}, "length of the run is nan"),
-        ({"device": Mechanics(0.0, 1.0, 1.0)}, "device needs a mass"),
-        ({"device": Mechanics(np.eye(2), np.eye(2), np.eye(2))}, "device has 2 axes and the hand 1"),
-        ({"push": Signal((1.0, 1.0), (0.0, 0.0), (1.0, 1.0))}, "push needs 1 offsets"),
+        ({"device": control.Mechanics(0.0, 1.0, 1.0)}, "device needs a mass"),
+        ({"device": control.Mechanics(np.eye(2), np.eye(2), np.eye(2))}, "device has 2 axes and the hand 1"),
+        ({"push": control.Signal((1.0, 1.0), (0.0, 0.0), (1.0, 1.0))}, "push needs 1 offsets"),
         ({"start_estimates": np.zeros(9)}, "first estimates are 3"),
     ],
 )
@@ -207,11 +197,11 @@ def test_what_makes_no_sense_is_refused_with_the_way_out(wrong, words):
 
 def test_gains_that_overshoot_in_one_sample_and_odd_matrices_are_refused():
     with pytest.raises(UsageError, match="overshoots within one sample"):
-        replace(table_3("B"), gains=Gains(damping_N_s_per_m=3000.0)).chatter_floor()
+        replace(table_3("B"), gains=control.Gains(damping_N_s_per_m=3000.0)).chatter_floor()
     with pytest.raises(UsageError, match="symmetric"):
-        Mechanics([[1.0, 0.5], [0.0, 1.0]], np.eye(2), np.eye(2))
+        control.Mechanics([[1.0, 0.5], [0.0, 1.0]], np.eye(2), np.eye(2))
     with pytest.raises(UsageError, match="alike"):
-        Mechanics(np.eye(2), 1.0, 1.0)
+        control.Mechanics(np.eye(2), 1.0, 1.0)
 
 
 def some_tissues(count: int, seed: int) -> list[Tissue]:
@@ -235,21 +225,21 @@ def some_tissues(count: int, seed: int) -> list[Tissue]:
     return found
 
 
-def some_operators(count: int, seed: int) -> list[Mechanics]:
+def some_operators(count: int, seed: int) -> list[control.Mechanics]:
     rng = np.random.default_rng(seed)
     low, high = np.log([0.3, 0.5, 5.0]), np.log([3.0, 20.0, 600.0])
-    return [Mechanics(*np.exp(rng.uniform(low, high))) for _ in range(count)]
+    return [control.Mechanics(*np.exp(rng.uniform(low, high))) for _ in range(count)]
 
 
-def largest_errors_mm(variant: str, operators: list[Mechanics], tissues: list[Tissue]) -> np.ndarray:
+def largest_errors_mm(variant: str, operators: list[control.Mechanics], tissues: list[Tissue]) -> np.ndarray:
     """Of every loop with 1.5 times the bound, from th = truth (so th1 = M); infinite where it diverged."""
     found = []
     for operator in operators:
         for tissue in tissues:
-            settings = ControlSettings(tissue, variant=variant, operator=operator)
+            settings = control.ControlSettings(tissue, variant=variant, operator=operator)
             settings = replace(
                 settings,
-                tool=VirtualTool(1.5 * virtual_mass_bound(settings)),
+                tool=control.VirtualTool(1.5 * control.virtual_mass_bound(settings)),
                 start_estimates=settings.estimated_truth(),
                 seconds=6.0,
             )

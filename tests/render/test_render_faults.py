@@ -7,21 +7,19 @@ in real time on a shared machine: there the watchdog for silence is set to a sec
 from __future__ import annotations
 
 import contextlib
-import io
 import os
 import socket
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 import pytest
+from command_line import run
 from emulated_session import HOMED_S, TICK_S, EmulatedSession, pressing
 from owner_to_kill import LIMITS
 
-from tissueid.cli.main import main
 from tissueid.haptics.device import ZERO_COMMANDS
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import limits_of
@@ -236,14 +234,6 @@ def test_lost_answers_now_and_then_are_no_late_wire():
 FALCON = ("render", "--preset", "paper-a", "--device", "falcon", "--yes", "--quiet")
 
 
-def run(*arguments: str | Path) -> tuple[int, str]:
-    """``tissueid`` in this process: exit code and everything it said."""
-    said = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True)
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-        code = main([str(argument) for argument in arguments])
-    return code, said.buffer.getvalue().decode("utf-8")
-
-
 @contextlib.contextmanager
 def emulated(
     monkeypatch: pytest.MonkeyPatch, *faults: ScriptedFault, **settings: Any
@@ -264,11 +254,9 @@ def test_a_device_that_fails_is_exit_5_with_its_reason_on_the_screen_and_in_the_
 ):
     log = tmp_path / "out.h5"
     with emulated(monkeypatch, ScriptedFault(kind, 4.2)) as link:
-        code, text = run(*FALCON, "--seconds", "30", "--log", log)
+        run(*FALCON, "--seconds", "30", "--log", log, code=5, said=FAULT_WORDS[fault])
         # a device that is gone can't be told
         assert kind == "unplug" or link.falcon.last_motors == (0, 0, 0)
-    assert code == 5
-    assert FAULT_WORDS[fault] in text
     kept = read_session_log(log)
     assert kept.summary is not None
     assert kept.records["fault"][-1] == fault
@@ -282,15 +270,12 @@ def test_firmware_that_fails_twice_is_exit_0(monkeypatch, tmp_path):
     firmware = tmp_path / "any.bin"
     firmware.write_bytes(bytes(range(256)) * 2)
     with emulated(monkeypatch, firmware_loaded=False, failing_tries=2, firmware=firmware) as link:
-        code, _ = run(*FALCON, "--seconds", "1")
-        assert link.falcon.firmware_tries == 3
-    assert code == 0
+        run(*FALCON, "--seconds", "1", code=0)
+        assert link.falcon.boot.tries == 3
 
 
 @pytest.mark.slow
 def test_homing_that_never_completes_is_exit_5_and_says_what_to_do(monkeypatch):
     with emulated(monkeypatch, homes=False, homing_timeout_s=0.3) as link:
-        code, text = run(*FALCON, "--seconds", "5")
+        run(*FALCON, "--seconds", "5", code=5, said="pull the grip all the way out, push it all the way in")
         assert link.falcon.last_motors == (0, 0, 0)
-    assert code == 5
-    assert "pull the grip all the way out, push it all the way in" in text

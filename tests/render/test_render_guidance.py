@@ -13,16 +13,6 @@ from scipy.spatial import KDTree
 
 from tissueid.rendering import environment as env
 from tissueid.rendering import guidance as gd
-from tissueid.rendering.guidance import (
-    CONE,
-    GUIDANCE_MEMORY,
-    HYPERBOLOID,
-    PRINTED_ONE_M,
-    axial_stiffness,
-    funnel_touch,
-    guidance_step,
-    hyperboloid_constants,
-)
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull, guidance_block
 
 #: A funnel nothing here comes near to.
@@ -36,12 +26,14 @@ class Guided:
     """A running copy of the environment."""
 
     def __init__(self, plan: Guidance) -> None:
-        self.block, self.memory = plan.numbers(), np.zeros(GUIDANCE_MEMORY)
+        self.block, self.memory = plan.numbers(), np.zeros(gd.GUIDANCE_MEMORY)
         self.said = np.zeros(gd.SAID_SIZE)
 
     def step(self, position: np.ndarray, dt: float) -> np.ndarray:
         force = np.zeros(3)
-        guidance_step(self.block, 0, self.memory, np.asarray(position, dtype=float), dt, force, self.said, 0)
+        gd.guidance_step(
+            self.block, 0, self.memory, np.asarray(position, dtype=float), dt, force, self.said, 0
+        )
         return force
 
 
@@ -68,16 +60,16 @@ def square_loop(radius: float, height: float, n: int = 400) -> np.ndarray:
 def test_the_stiffness_rises_as_the_height_falls_and_ends_flat() -> None:
     block = PULL.numbers()
     heights = np.array([0.2, 0.05, 0.03, 0.01, 0.0, -0.02])
-    found = [axial_stiffness(block, 0, z, False) for z in heights]
+    found = [gd.axial_stiffness(block, 0, z, False) for z in heights]
     assert found[0] == pytest.approx(100.0, abs=1e-6)
     assert found[-2:] == [500.0, 500.0]
     assert (np.diff(found[:-1]) > 0.0).all()
     for z in (0.05, 0.01, 1e-4):
         difference = (
-            axial_stiffness(block, 0, z + 1e-7, False) - axial_stiffness(block, 0, z - 1e-7, False)
+            gd.axial_stiffness(block, 0, z + 1e-7, False) - gd.axial_stiffness(block, 0, z - 1e-7, False)
         ) / 2e-7
-        assert axial_stiffness(block, 0, z, True) == pytest.approx(difference, rel=1e-5)
-    assert axial_stiffness(block, 0, 1e-9, True) == pytest.approx(0.0, abs=1e-2)
+        assert gd.axial_stiffness(block, 0, z, True) == pytest.approx(difference, rel=1e-5)
+    assert gd.axial_stiffness(block, 0, 1e-9, True) == pytest.approx(0.0, abs=1e-2)
 
 
 def test_no_closed_path_gives_energy_but_in_the_paper_s_variant() -> None:
@@ -91,7 +83,7 @@ def test_no_closed_path_gives_energy_but_in_the_paper_s_variant() -> None:
     printed = replace(PULL, pull=replace(PULL.pull, conservative=False))
     # out against K(50 mm), in along K(0): the difference of two springs
     block = PULL.numbers()
-    expected = 0.5 * (500.0 - axial_stiffness(block, 0, 0.05, False)) * 0.02**2
+    expected = 0.5 * (500.0 - gd.axial_stiffness(block, 0, 0.05, False)) * 0.02**2
     assert energy_of_loop(printed, square_loop(0.02, 0.05)) == pytest.approx(expected, rel=1e-6)
     assert expected > 0.07
 
@@ -235,7 +227,7 @@ def test_the_environment_is_the_guidance_where_its_block_is_one() -> None:
         assert info[env.INFO_DEPTH_MM] == pytest.approx(1e3 * (0.13 - point[2]))
         assert info[env.INFO_LABEL] == 3
         assert info[env.INFO_PENETRATION_M] == alone.said[gd.SAID_PENETRATION_M]
-    assert env.MEMORY_SIZE >= GUIDANCE_MEMORY + gd.SAID_SIZE
+    assert env.MEMORY_SIZE >= gd.GUIDANCE_MEMORY + gd.SAID_SIZE
 
 
 def test_a_pull_is_no_contact_and_wall_and_bone_are() -> None:
@@ -251,23 +243,23 @@ def test_a_pull_is_no_contact_and_wall_and_bone_are() -> None:
 
 
 RADIUS_M, OFFSET_M, SLOPE = 0.004, 0.006, 0.35
-HYPER = np.array([HYPERBOLOID, *hyperboloid_constants(RADIUS_M, OFFSET_M, SLOPE)])
-PRINTED = np.array([CONE, 0.004, 0.002, 0.012])
+HYPER = np.array([gd.HYPERBOLOID, *gd.hyperboloid_constants(RADIUS_M, OFFSET_M, SLOPE)])
+PRINTED = np.array([gd.CONE, 0.004, 0.002, 0.012])
 #: Distance between the points of a profile [m].
 SPACING_M = 2e-7
 
 
 def touched(funnel: np.ndarray, r: float, z: float) -> tuple[float, np.ndarray]:
     normal = np.zeros(2)
-    return float(funnel_touch(funnel, 0, r, z, normal, 0)), normal
+    return float(gd.funnel_touch(funnel, 0, r, z, normal, 0)), normal
 
 
 def profile(funnel: np.ndarray) -> np.ndarray:
     """Points (r, z) of the surface as the equation gives them, up to 45 mm above the entry."""
     _, a, b, c = funnel
-    if int(funnel[0]) == CONE:
-        z = np.arange(-PRINTED_ONE_M - b, 0.045, SPACING_M)
-        return np.column_stack([a * (z + PRINTED_ONE_M + b) / c, z])
+    if int(funnel[0]) == gd.CONE:
+        z = np.arange(-gd.PRINTED_ONE_M - b, 0.045, SPACING_M)
+        return np.column_stack([a * (z + gd.PRINTED_ONE_M + b) / c, z])
     z = np.arange(-0.03, 0.045, SPACING_M)
     radius = a * np.sqrt(1.0 + (np.maximum(z + b, 0.0) / c) ** 2)
     return np.column_stack([radius, z])
@@ -314,10 +306,10 @@ def test_inside_nothing_is_touched_and_the_gap_is_right_near_the_wall() -> None:
 
 @pytest.mark.parametrize("funnel", [HYPER, PRINTED], ids=["hyperboloid", "cone"])
 def test_nothing_jumps_at_throat_or_apex(funnel: np.ndarray) -> None:
-    end = -float(funnel[2]) - (PRINTED_ONE_M if int(funnel[0]) == CONE else 0.0)
+    end = -float(funnel[2]) - (gd.PRINTED_ONE_M if int(funnel[0]) == gd.CONE else 0.0)
     for r in (0.002, 0.0045, 0.009):
         # around the cone's apex the surfaces of equal distance meet along the normal through it
-        height = end if int(funnel[0]) == HYPERBOLOID else end - r * funnel[1] / funnel[3]
+        height = end if int(funnel[0]) == gd.HYPERBOLOID else end - r * funnel[1] / funnel[3]
         above, below = touched(funnel, r, height + 1e-9), touched(funnel, r, height - 1e-9)
         assert above[0] == pytest.approx(below[0], abs=1e-8)
         np.testing.assert_allclose(above[1], below[1], atol=1e-5)
@@ -326,6 +318,6 @@ def test_nothing_jumps_at_throat_or_apex(funnel: np.ndarray) -> None:
 def test_on_the_axis_there_is_a_direction() -> None:
     _, normal = touched(PRINTED, 0.0, -0.01)
     np.testing.assert_allclose(normal, [0.0, 1.0])
-    depth, normal = touched(PRINTED, 0.0, -PRINTED_ONE_M - float(PRINTED[2]))
+    depth, normal = touched(PRINTED, 0.0, -gd.PRINTED_ONE_M - float(PRINTED[2]))
     assert depth == pytest.approx(0.0, abs=1e-12)
     assert np.linalg.norm(normal) == pytest.approx(1.0)

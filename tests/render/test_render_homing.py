@@ -8,11 +8,11 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from command_line import until
 from emulated_session import pressing
 
 from tissueid.errors import DeviceError
@@ -77,14 +77,6 @@ def test_what_takes_time_is_done_before_homing_and_a_cold_start_says_how_long(
     assert "10 to 20 s" in pipes.told()
 
 
-def soon(what: Callable[[], bool], timeout_s: float) -> bool:
-    """True where it comes in time."""
-    deadline = time.monotonic() + timeout_s
-    while not what() and time.monotonic() < deadline:
-        time.sleep(0.002)
-    return what()
-
-
 @pytest.mark.slow
 @pytest.mark.needs_jit
 def test_an_owner_that_is_killed_leaves_zero_packets_behind():
@@ -92,11 +84,11 @@ def test_an_owner_that_is_killed_leaves_zero_packets_behind():
         falcon = link.falcon
         owner = subprocess.Popen([sys.executable, Path(__file__).with_name("owner_to_kill.py"), link.path])
         # compiling on a slow machine takes most of the wait
-        assert soon(lambda: max(map(abs, falcon.last_motors)) > 60, 60.0)
+        until(lambda: max(map(abs, falcon.last_motors)) > 60)
         owner.send_signal(signal.SIGKILL)
         owner.wait()
         # noticed within 5 ms, ramped within 20 ms; the rest is the machine's
-        assert soon(lambda: falcon.last_motors == (0, 0, 0), 1.0)
+        until(lambda: falcon.last_motors == (0, 0, 0), 1.0)
         commands = falcon.commands
         time.sleep(1.0)
         ended = falcon.commands

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import resource
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from command_line import REPOSITORY, python
 from session_heads import head_of, indentation, records_of, summary_of
 
 from tissueid.errors import UsageError
@@ -61,9 +61,7 @@ print(recorder.written, len(records), recorder.stopped, recorder.finish(summary_
 def recorded_within(limit_bytes: int, log: Path) -> subprocess.CompletedProcess[str]:
     """A recording in a process whose files may not be larger."""
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] in (-1, resource.RLIM_INFINITY)
-    folders = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
-    command = [sys.executable, "-c", FULL_DISK, str(log), str(limit_bytes), *folders]
-    return subprocess.run(command, check=False, capture_output=True, text=True)
+    return python("-c", FULL_DISK, log, str(limit_bytes), REPOSITORY / "tests", check=False)
 
 
 def test_a_full_disk_stops_the_recording_and_keeps_what_is_there(tmp_path: Path) -> None:

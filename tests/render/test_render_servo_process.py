@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command_line import until
 from test_render_servo_tick import DEEP_M, tissue
 
 from tissueid.errors import DeviceError, UsageError
@@ -57,10 +58,7 @@ def pressed(servo: ServoProcess) -> np.ndarray:
 
 def ended(servo: ServoProcess) -> ServoEnd:
     """Wait for the end without a sign of life."""
-    deadline = time.monotonic() + PATIENCE_S
-    while servo.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert servo.end is not None
+    until(lambda: servo.poll() is not None, PATIENCE_S)
     return servo.end
 
 

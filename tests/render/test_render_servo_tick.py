@@ -15,7 +15,6 @@ from felt_block import parameters
 
 from tissueid.errors import DeviceError
 from tissueid.haptics import guard as machine
-from tissueid.haptics import sim
 from tissueid.haptics.device import UNANSWERED, CompiledIO, compiled_io
 from tissueid.haptics.guard import GAIN, transition
 from tissueid.haptics.hand import Hand
@@ -202,10 +201,6 @@ def faulty_session(*, compiled: bool, fault: str) -> np.ndarray:
     with Rig(seed=11) as rig:
         rig.block.write(tissue())
         io = rig.io if compiled else PythonIO(rig.device)
-        kinds = {"gone": 1, "silent": 2, "jump": 4, "unhomed": 5}
-        if fault in kinds:
-            rig.device.parameters[[sim.FAULT_KIND, sim.FAULT_AT]] = kinds[fault], FAULT_AT_S
-            rig.device.parameters[sim.FAULT_SIZE] = 300.0
         events = {"heartbeat": machine.HEARTBEAT_LOST, "owner": machine.PARENT_DIED}
         for k in range(TICKS):
             if k == round(FAULT_AT_S / PERIOD) and fault == "not a number":
@@ -223,10 +218,6 @@ def faulty_session(*, compiled: bool, fault: str) -> np.ndarray:
     ("fault", "code", "state"),
     [
         ("none", Fault.NONE, State.ENGAGED),
-        ("gone", Fault.TRANSPORT, State.FAULT),
-        ("silent", Fault.NO_REPLY, State.FAULT),
-        ("jump", Fault.ENCODER_JUMP, State.FAULT),
-        ("unhomed", Fault.NOT_HOMED, State.FAULT),
         ("not a number", Fault.NOT_A_NUMBER, State.FAULT),
         ("heartbeat", Fault.HEARTBEAT, State.FAULT),
         ("owner", Fault.PARENT_DIED, State.FAULT),
@@ -240,9 +231,7 @@ def test_both_ways_to_a_device_send_the_same_forces(fault, code, state):
     assert compiled["fault"][-1] == python["fault"][-1] == code
     assert compiled["state"][-1] == python["state"][-1] == state
     assert np.array_equal(compiled["state"], python["state"])
-    # a device that is gone can't be commanded: what Python could not send counts as zero
-    compared = ("position_m",) if fault == "gone" else ("position_m", "force_N", "lamps", "depth_mm")
-    for name in compared:
+    for name in ("position_m", "force_N", "lamps", "depth_mm"):
         # the first tick, which took no time in one of them, is marked as a stall
         assert np.array_equal(compiled[name][1:], python[name][1:])
     # force was on before, and is zero 20 ms after the fault was seen
@@ -300,6 +289,24 @@ def pressed(driven):
     records = driven.go(-0.004, 300)
     assert records["state"][-1] == State.ENGAGED
     assert records["force_N"][-1, 2] > 1.0
+
+
+@pytest.mark.parametrize(
+    ("fails", "fault", "after"),
+    [
+        (lambda device: setattr(device, "broken", DeviceError("gone")), Fault.TRANSPORT, 0),
+        (lambda device: device.answer.update(valid=False), Fault.NO_REPLY, 99),
+        (lambda device: device.counts.__iadd__(300), Fault.ENCODER_JUMP, 0),
+        (lambda device: device.answer.update(homed=False), Fault.NOT_HOMED, 0),
+    ],
+)
+def test_a_device_in_python_that_fails_in_contact_is_without_force_in_20_ms(driven, fails, fault, after):
+    pressed(driven)
+    fails(driven.device)
+    records = driven.tick(160)
+    assert np.flatnonzero(records["fault"])[0] == after
+    assert set(records["fault"][after:]) == {fault}
+    assert (records["force_N"][after + 19 :] == 0.0).all()
 
 
 def test_tissue_of_new_parameters_was_never_touched(driven):

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import REPOSITORY, python
 from rendered_tissues import PAPER_A, bundle_of
+from session_heads import indentation, records_of
 
 from tissueid.errors import UsageError
 from tissueid.haptics.states import Fault, Lamp, State
@@ -140,12 +139,8 @@ def test_a_law_of_another_distribution_is_rendered_and_says_its_rate(tmp_path: P
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: walls\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text("[tissueid.environments]\nfloor = walls:floor\n")
     log = tmp_path / "out.h5"
-    shown = subprocess.run(
-        [sys.executable, "-m", "tissueid", "render", "--environment", "floor", "--device", "sim",
-         "--seconds", "0.5", "--log", str(log), "--json"],
-        env={**os.environ, "PYTHONPATH": str(tmp_path)}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert shown.returncode == 0, shown.stderr
+    render = ("-m", "tissueid", "render", "--environment", "floor", "--device", "sim", "--seconds", "0.5")
+    shown = python(*render, "--log", log, "--json", PYTHONPATH=f"{tmp_path}:{REPOSITORY}")
     document = json.loads(shown.stdout)
     assert document["scale"] is None
     # the grip rests 1 mm in the floor: 0.3 N, too much to engage there, so that nothing is felt
@@ -165,8 +160,7 @@ MODULES = {
 @pytest.mark.parametrize("modules", MODULES)
 def test_rendering_never_loads_what_a_servo_must_not_wait_for(modules: str) -> None:
     code = f"import sys, tissueid.rendering.{modules}\nprint(*sys.modules)"
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert MODULES[modules].isdisjoint(shown.stdout.split())
+    assert MODULES[modules].isdisjoint(python("-c", code).stdout.split())
 
 
 def test_only_the_simulated_device_begins_uncompiled(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,13 +180,8 @@ def test_the_first_start_renders_at_once_and_compiles_for_the_next(bundle: Path,
     for name in ("cold", "warm"):
         log = tmp_path / f"{name}.h5"
         begun = time.monotonic()
-        shown = subprocess.run(
-            [sys.executable, "-m", "tissueid", "render", str(bundle), "--device", "sim", "--script", SHORT,
-             "--log", str(log)],
-            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        assert shown.returncode == 0, shown.stderr
+        render = ("-m", "tissueid", "render", bundle, "--device", "sim", "--script", SHORT, "--log", log)
+        shown = python(*render, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
         assert ("first start" in shown.stderr) == (name == "cold")
         assert ("not compiled yet" in shown.stderr) == (name == "cold")
         records = read_session_log(log).records
@@ -204,8 +193,6 @@ def test_the_first_start_renders_at_once_and_compiles_for_the_next(bundle: Path,
 
 
 def test_the_summary_counts_what_the_records_say() -> None:
-    from session_heads import indentation, records_of
-
     records = records_of(indentation(2.0))
     records["dt_s"][::100] += 3e-4
     records["lamps"][:50] |= int(Lamp.CLIPPED)

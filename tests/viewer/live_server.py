@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from command_line import until
 from session_heads import head_of
 from websockets.sync.client import ClientConnection, connect
 
@@ -74,14 +75,6 @@ def served(*, token: str | None = None, pointer: HandPointer | None = None, port
         thread.join()
         listening.close()
         ring.close()
-
-
-def until(true: Any) -> None:
-    """Wait until something is true."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not true():
-        assert time.monotonic() < deadline, "waited in vain"
-        time.sleep(0.005)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import python, until
 from live_server import record, served
 from rendered_session import Session, drag_down, heard, now, wait
 from session_heads import head_of
@@ -122,16 +123,13 @@ def test_the_page_fits_its_window_and_a_screen_reader_hears_the_state(page, widt
     wait(page, lambda now: now["drawn"] > 0)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     assert page.locator("#status").get_attribute("aria-live") == "polite"
-    deadline = time.monotonic() + PATIENCE_S
-    while "N at the device" not in page.locator("#status").text_content():
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
+    until(lambda: "N at the device" in page.locator("#status").text_content())
     words = page.locator("#scale").text_content()
     assert "felt force = tissue force × 0.0127" in words
     assert "% of the depth clipped" in words
 
 
-def wrong_points(traces: dict[str, Any], log: SessionLog, period_s: float = 0.001) -> int:
+def wrong_points(traces: dict[str, Any], log: SessionLog) -> int:
     """Number of points of the traces that are no record of the servo."""
     records = log.records
     force = np.linalg.norm(records["force_N"].astype(np.float32).astype(np.float64), axis=1)
@@ -141,7 +139,7 @@ def wrong_points(traces: dict[str, Any], log: SessionLog, period_s: float = 0.00
         "loop_N": records["tissue_force_N"],
         "depth_mm": records["depth_mm"],
         "energy_mJ": 1e3 * records["energy_J"],
-        "period_us": 1e6 * (records["dt_s"].astype(np.float32) - period_s),
+        "period_us": 1e6 * (records["dt_s"].astype(np.float32) - 1e-3),
     }
     wrong = 0
     for trace in traces.values():
@@ -161,10 +159,7 @@ def test_traces_and_digits_are_the_servos_records(page):
     session = page.session
     page.set_viewport_size({"width": 1400, "height": 900})
     press(page, 160)
-    deadline = time.monotonic() + PATIENCE_S
-    while float(page.locator("#device-force").text_content()) < 0.3:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    until(lambda: float(page.locator("#device-force").text_content()) >= 0.3)
     read = page.evaluate(
         """() => {
             const digits = document.getElementById("device-force");
@@ -325,7 +320,7 @@ def test_a_twin_is_played_beside_the_recording_that_it_should_be(chromium, tmp_p
         ("fit", data, "--sampler", "none", "-q", "-o", tmp_path / "out"),
         ("render", tmp_path / "out" / "bundle.h5", "--twin", "--against", data, "-q"),
     ):
-        subprocess.run([sys.executable, "-m", "tissueid", *map(str, words)], check=False, capture_output=True)
+        python("-m", "tissueid", *words, check=False)
     printed = tmp_path / "printed.txt"
     command = ["view", tmp_path / "out" / "twin" / "felt.h5", "--beside", data, "--no-browser"]
     with printed.open("w") as out:

@@ -89,7 +89,7 @@ def test_node_from_a_wheel_is_found(tmp_path, monkeypatch):
 
 
 def test_a_server_without_its_page_says_how_to_get_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(server.viewer_app, "__kwdefaults__", {"bundle": tmp_path})
+    monkeypatch.setattr(server, "BUNDLE", tmp_path)
     with served() as live:
         status, _, body = fetched(f"http://127.0.0.1:{live.access.port}/")
     assert status == 503

@@ -9,7 +9,8 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from live_server import frame_of, greeted, record, served, until
+from command_line import until
+from live_server import frame_of, greeted, record, served
 from session_heads import head_of
 
 from tissueid.haptics.ring import RECORD, Ring
@@ -19,21 +20,7 @@ from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, guidance_b
 from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.plan import plan_session
 from tissueid.rendering.scene import load_scene
-from tissueid.viewer.frames import (
-    HEAD,
-    KEPT,
-    MOST_SAMPLES,
-    MOST_UNANSWERED,
-    SAMPLE,
-    Client,
-    Frame,
-    LiveFeed,
-    Playback,
-    layout,
-    read_frame,
-    samples_of,
-    write_frame,
-)
+from tissueid.viewer import frames
 from tissueid.viewer.hello import guided_objects, hello
 from tissueid.viewer.protocols import Play
 
@@ -55,7 +42,9 @@ def some_records(count: int, seed: int = 1) -> np.ndarray:
 
 def test_every_field_arrives_with_the_digits_of_the_layout():
     records = some_records(50)
-    frame = read_frame(write_frame(samples_of(records), first=7, now_s=12.5, dropped=3, round_trip_us=9))
+    frame = frames.read_frame(
+        frames.write_frame(frames.samples_of(records), first=7, now_s=12.5, dropped=3, round_trip_us=9)
+    )
     assert (frame.first, frame.now_s, frame.dropped, frame.round_trip_us) == (7, 12.5, 3, 9)
     assert not frame.ended
     assert (frame.samples["time_s"] == records["time_s"]).all()
@@ -68,11 +57,11 @@ def test_every_field_arrives_with_the_digits_of_the_layout():
 
 def test_a_page_can_read_a_sample_by_the_layout_alone():
     records = some_records(3)
-    data = write_frame(samples_of(records), first=0, now_s=0.0)
-    columns = {name: (read, offset) for name, read, offset in layout()}
+    data = frames.write_frame(frames.samples_of(records), first=0, now_s=0.0)
+    columns = {name: (read, offset) for name, read, offset in frames.layout()}
     read, offset = columns["depth_mm"]
     assert read == "getFloat32"
-    value = struct.unpack_from("<f", data, HEAD.itemsize + 2 * SAMPLE.itemsize + offset)[0]
+    value = struct.unpack_from("<f", data, frames.HEAD.itemsize + 2 * frames.SAMPLE.itemsize + offset)[0]
     assert value == np.float32(records["depth_mm"][2])
     # numbers lie where typed arrays and data views can take them
     assert all(8 * offset % int("".join(filter(str.isdigit, read))) == 0 for read, offset in columns.values())
@@ -82,7 +71,7 @@ def test_a_page_can_read_a_sample_by_the_layout_alone():
 def test_records_of_another_layout_keep_what_they_have():
     old = np.zeros(4, np.dtype([("time_s", "<f8"), ("depth_mm", "<f8")]))
     old["depth_mm"] = 2.5
-    samples = samples_of(old)
+    samples = frames.samples_of(old)
     assert (samples["depth_mm"] == 2.5).all()
     assert not samples["force_N"].any()
 
@@ -91,10 +80,10 @@ def test_records_of_another_layout_keep_what_they_have():
     ("cut", "version", "why"), [*((cut, 1, "frame") for cut in (0, 5, 31, 33, -1)), (None, 9, "version 1")]
 )
 def test_a_frame_that_is_not_whole_or_of_another_version_is_refused(cut, version, why):
-    data = bytearray(write_frame(samples_of(some_records(2)), first=0, now_s=0.0))
+    data = bytearray(frames.write_frame(frames.samples_of(some_records(2)), first=0, now_s=0.0))
     data[2] = version
     with pytest.raises(ValueError, match=why):
-        read_frame(bytes(data[:cut]))
+        frames.read_frame(bytes(data[:cut]))
 
 
 def test_the_hello_says_what_is_drawn_and_which_lamp_is_which():
@@ -173,8 +162,8 @@ def test_a_tissue_of_a_scene_has_its_title_and_all_lamps():
 
 
 @pytest.fixture
-def feed(ring: Ring) -> LiveFeed:
-    return LiveFeed(ring)
+def feed(ring: Ring) -> frames.LiveFeed:
+    return frames.LiveFeed(ring)
 
 
 def fill(ring: Ring, count: int, first: int = 0) -> None:
@@ -182,13 +171,13 @@ def fill(ring: Ring, count: int, first: int = 0) -> None:
         ring.append(record(number))
 
 
-def shown(one: Client) -> Frame:
+def shown(one: frames.Client) -> frames.Frame:
     """The frame that is to be sent now."""
-    return read_frame(one.next_frame())
+    return frames.read_frame(one.next_frame())
 
 
 def test_a_client_gets_every_sample_in_order(ring, feed):
-    one = Client(feed)
+    one = frames.Client(feed)
     seen: list[int] = []
     for turn in range(20):
         fill(ring, 13, 13 * turn)
@@ -203,14 +192,14 @@ def test_a_client_gets_every_sample_in_order(ring, feed):
 
 
 def test_a_client_that_hung_goes_on_with_the_newest_and_knows_what_it_missed(ring, feed):
-    hung, awake = Client(feed), Client(feed)
+    hung, awake = frames.Client(feed), frames.Client(feed)
     received = sent = 0
-    while (data := hung.next_frame()) is not None or sent < MOST_UNANSWERED:
+    while (data := hung.next_frame()) is not None or sent < frames.MOST_UNANSWERED:
         sent += 1
         fill(ring, 10, 10 * (sent - 1))
         feed.pump()
         if data is not None:
-            received += read_frame(data).samples.size
+            received += frames.read_frame(data).samples.size
     # more than it is kept for passes while it draws nothing
     for turn in range(5):
         fill(ring, 1000, 10 * sent + 1000 * turn)
@@ -222,16 +211,16 @@ def test_a_client_that_hung_goes_on_with_the_newest_and_knows_what_it_missed(rin
     assert hung.answer(hung.sent)
     frame = shown(hung)
     # what is kept goes round meanwhile
-    assert total > KEPT
-    assert frame.samples["tick"].tolist() == list(range(total - MOST_SAMPLES, total))
-    assert frame.dropped == total - MOST_SAMPLES - received
+    assert total > frames.KEPT
+    assert frame.samples["tick"].tolist() == list(range(total - frames.MOST_SAMPLES, total))
+    assert frame.dropped == total - frames.MOST_SAMPLES - received
     assert awake.dropped == 0
 
 
 def test_what_the_ring_lost_is_counted_and_does_not_shift_numbers():
     ring = Ring.create(capacity=64)
-    feed = LiveFeed(ring)
-    one = Client(feed)
+    feed = frames.LiveFeed(ring)
+    one = frames.Client(feed)
     fill(ring, 200)
     feed.pump()
     assert feed.published == 200
@@ -242,7 +231,7 @@ def test_what_the_ring_lost_is_counted_and_does_not_shift_numbers():
 
 
 def test_an_answer_that_cannot_be_is_refused(ring):
-    one = Client(LiveFeed(ring))
+    one = frames.Client(frames.LiveFeed(ring))
     assert not one.answer(1)
     fill(ring, 5)
     one.source.pump()
@@ -253,7 +242,7 @@ def test_an_answer_that_cannot_be_is_refused(ring):
 
 
 def test_the_end_is_said_once(ring, feed):
-    one = Client(feed)
+    one = frames.Client(feed)
     fill(ring, 3)
     feed.end()
     frame = shown(one)
@@ -283,11 +272,11 @@ def test_five_clients_one_of_them_hung_and_the_others_miss_nothing():
         others.close()
         until(lambda: len(live.stage.clients) == 1)
         # the hung one got what it may have unanswered and no more
-        for _ in range(MOST_UNANSWERED):
+        for _ in range(frames.MOST_UNANSWERED):
             frame_of(hung)
         with pytest.raises(TimeoutError):
             hung.recv(0.2)
-        hung.send(json.dumps({"v": 1, "answer": MOST_UNANSWERED}))
+        hung.send(json.dumps({"v": 1, "answer": frames.MOST_UNANSWERED}))
         live.write(1, written)
         while frame_of(hung).samples["tick"][-1] != written:
             pass
@@ -303,11 +292,11 @@ class TestPlayback:
     def samples(self) -> np.ndarray:
         records = np.zeros(1000, RECORD)
         records["tick"], records["time_s"] = np.arange(1000), 50.0 + 1e-3 * np.arange(1000)
-        return samples_of(records)
+        return frames.samples_of(records)
 
     def test_samples_come_when_they_came(self):
         now = [0.0]
-        play = Playback(self.samples(), lambda: now[0])
+        play = frames.Playback(self.samples(), lambda: now[0])
         assert play.published == 1
         now[0] = 0.2505
         assert play.published == 251
@@ -317,14 +306,14 @@ class TestPlayback:
 
     def test_it_stands_still_goes_on_and_goes_back(self):
         now = [0.1]
-        play = Playback(self.samples(), lambda: now[0])
+        play = frames.Playback(self.samples(), lambda: now[0])
         play.play(Play(0.5, paused=True))
         now[0] = 9.0
         assert play.now_s() == pytest.approx(50.5)
         play.play(Play(None, paused=False))
         now[0] = 9.2005
         assert play.published == 701
-        one = Client(play)
+        one = frames.Client(play)
         assert one.next_frame() is not None
         play.play(Play(0.0, paused=True))
         one.rewind()

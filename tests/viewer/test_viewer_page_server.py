@@ -9,7 +9,8 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from live_server import fetched, until
+from command_line import until
+from live_server import fetched
 
 from tissueid.errors import UsageError
 from tissueid.viewer.page_server import LARGEST_DECISION, PageServer

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_server import Live, client, fetched, frame_of, greeted, served, until
+from command_line import until
+from live_server import Live, client, fetched, frame_of, greeted, served
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection
 

@@ -7,10 +7,7 @@ import json
 import os
 import signal
 import socket
-import subprocess
-import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -20,7 +17,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_server import Live, client, frame_of, greeted, record, served, until
+from command_line import python, until
+from live_server import Live, client, frame_of, greeted, record, served
 from rendered_session import Session
 from rendered_tissues import PAPER_A, bundle_of
 from session_heads import head_of, indentation, records_of, summary_of
@@ -138,8 +136,7 @@ def test_the_process_hears_its_owner_line_by_line(ring, hand):
 
 def test_the_process_loads_no_compiler():
     program = "import sys, tissueid.viewer.server\nprint({'numba', 'scipy'} & set(sys.modules))\n"
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert ended.stdout == "set()\n"
+    assert python("-c", program).stdout == "set()\n"
 
 
 def test_an_owner_that_never_said_a_word_serves_nothing():
@@ -186,7 +183,7 @@ def test_files_that_are_no_certificate_are_refused(tmp_path):
 
 def test_a_session_elsewhere_is_opened_once_it_answers(monkeypatch, tmp_path):
     (tmp_path / "index.html").write_text("a page", encoding="ascii")
-    monkeypatch.setattr(server.viewer_app, "__kwdefaults__", {"bundle": tmp_path})
+    monkeypatch.setattr(server, "BUNDLE", tmp_path)
     with served(token="secret") as live:
         address = f"127.0.0.1:{live.access.port}"
         with pytest.raises(UsageError, match="no token"):
@@ -390,7 +387,7 @@ def test_a_server_whose_owner_was_killed_ends():
         "print(viewer._process.pid, flush=True)\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
-    ended = subprocess.run([sys.executable, "-c", owner], capture_output=True, text=True, check=False)
+    ended = python("-c", owner, check=False)
     assert ended.returncode == -signal.SIGKILL
     server = Path("/proc") / ended.stdout.strip()
     until(lambda: not server.exists() or "Z" in (server / "stat").read_text().rsplit(")", 1)[-1][:3])
@@ -405,9 +402,7 @@ def test_a_session_whose_server_dies_or_hangs_ends_as_planned_with_a_whole_log(t
     with greeted(session.url.replace("http", "ws") + "ws") as page:
         until(lambda: isinstance(page.recv(PATIENCE_S), bytes))
         os.kill(server_of(session), how)
-    deadline = time.monotonic() + PATIENCE_S
-    while session.process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.05)
+    until(lambda: session.process.poll() is not None, PATIENCE_S)
     assert session.end() == 0, session.said
     assert ("goes on unseen" in session.said) is (how == signal.SIGKILL)
     found = read_session_log(log)

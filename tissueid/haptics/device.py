@@ -37,10 +37,6 @@ class AskedDevice:
     hands_off: bool = False  # the grip moves by itself, in a measurement of the free device
     homing_timeout_s: float | None = None
 
-    def given(self) -> tuple[str, ...]:
-        """Names of those that not every device has."""
-        return tuple(name for name in ("port", "firmware", "calibration") if getattr(self, name) is not None)
-
 
 @dataclass(frozen=True, slots=True)
 class DetectedDevice:
@@ -261,10 +257,26 @@ class HapticDevice(ABC):
     def read(self) -> DeviceSample:
         """Read the device and let the watchdogs see it; DeviceError as :meth:`sample`."""
         sample = self.sample()
+        first = self._last_s is None
+        dt = 0.0 if self._last_s is None else sample.time_s - self._last_s
+        self._last_s = sample.time_s
+        reply = machine.REPLY_DAMAGED if sample.damaged else machine.REPLY_NONE
+        moved = np.zeros(3, np.int64)
         if sample.valid:
-            self._watch(machine.REPLY_VALID, sample)
-        else:
-            self._watch(machine.REPLY_DAMAGED if sample.damaged else machine.REPLY_NONE, sample)
+            reply = machine.REPLY_VALID
+            # at the end of homing the coordinates jump: nothing moved
+            if first or self.state is State.HOMING:
+                self._position[:] = sample.position_m
+                self._velocity[:] = 0.0
+            else:
+                moved = sample.counts - self._counts
+            machine.velocity_step(self._velocity, sample.position_m, self._position, dt)
+            self._counts[:] = sample.counts
+        # the depth of the tool is not known here
+        machine.observe(
+            self.guard_memory, self._limits, reply, sample.homed, sample.buttons, moved, self._velocity,
+            float("nan"), dt,
+        )  # fmt: skip
         return sample
 
     @final
@@ -329,28 +341,6 @@ class HapticDevice(ABC):
         if self.state is State.CLOSED:
             msg = f"{self.name}: is closed; call open() first"
             raise DeviceError(msg)
-
-    def _watch(self, reply: int, sample: DeviceSample) -> None:
-        """Watchdogs of one reading; the depth of the tool is not known here."""
-        now = sample.time_s
-        first = self._last_s is None
-        dt = 0.0 if self._last_s is None else now - self._last_s
-        moved = np.zeros(3, np.int64)
-        self._last_s = now
-        homed, buttons = False, 0
-        if sample.valid:
-            homed, buttons = sample.homed, sample.buttons
-            # at the end of homing the coordinates jump: nothing moved
-            if first or self.state is State.HOMING:
-                self._position[:] = sample.position_m
-                self._velocity[:] = 0.0
-            else:
-                moved = sample.counts - self._counts
-            machine.velocity_step(self._velocity, sample.position_m, self._position, dt)
-            self._counts[:] = sample.counts
-        machine.observe(
-            self.guard_memory, self._limits, reply, homed, buttons, moved, self._velocity, float("nan"), dt
-        )
 
 
 #: Words of a reading: what came (:mod:`tissueid.haptics.guard`), whether homed, buttons, and commands

@@ -191,14 +191,6 @@ _MOVES = {
 _HOLD = re.compile(rf"hold\s+{NUMBER}\s*s")
 
 
-def _speed(value: str, per: str, line: str) -> float:
-    speed = float(value) / (S_PER_MIN if per == "min" else 1.0)
-    if not 0.0 < speed <= MOST_SPEED_MM_S:
-        msg = f"speed of {printable(line)!r} is {speed:g} mm/s, above 0 to {MOST_SPEED_MM_S:g} is offered"
-        raise UsageError(msg)
-    return speed
-
-
 def parse_script(text: str) -> tuple[Stroke, ...]:
     """Read strokes between semicolons; a retract without a depth leaves the tissue; else UsageError."""
     strokes: list[Stroke] = []
@@ -210,7 +202,10 @@ def parse_script(text: str) -> tuple[Stroke, ...]:
         kind = line.partition(" ")[0]
         if kind in _MOVES and (found := _MOVES[kind].fullmatch(line)) is not None:
             target = -SCRIPT_CLEARANCE_MM if found[1] is None else float(found[1])
-            speed = _speed(found[2], found[3], line)
+            speed = float(found[2]) / (S_PER_MIN if found[3] == "min" else 1.0)
+            if not 0.0 < speed <= MOST_SPEED_MM_S:
+                msg = f"speed of {line!r} is {speed:g} mm/s, above 0 to {MOST_SPEED_MM_S:g} is offered"
+                raise UsageError(msg)
             way = target - depth if kind == "indent" else depth - target
             if way <= 0.0:
                 where = "deeper" if kind == "indent" else "back"

@@ -390,7 +390,9 @@ def _balance(motion: Motion, begin: float, delay_s: float) -> tuple[FloatArray, 
     inside = np.flatnonzero((motion.time_s >= begin) & (motion.time_s < begin + REST_S))
     time = motion.time_s[inside]
     place, speed = _smooth(time, motion.position_m[inside, ALONG])
-    impulse = _impulse(motion, time - delay_s)
+    # of the sent force, each of which holds until the next
+    sent = np.concatenate([[0.0], np.cumsum(motion.force_N[:-1, ALONG] * np.diff(motion.time_s))])
+    impulse = np.interp(time - delay_s, motion.time_s, sent)
     begins = np.arange(HALF_WIDTH, len(time) - HALF_WIDTH - 1 - WINDOW, WINDOW)
     # a window in which the grip turns or rests has no direction
     i = begins[sliding_window_view(np.abs(speed), WINDOW + 1)[begins].min(axis=1) >= SLOW]
@@ -414,10 +416,3 @@ def _smooth(time: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray
     smooth, speed = place.copy(), np.zeros_like(place)
     smooth[middle], speed[middle] = found[:, 0], found[:, 1] / scale[:, 0]
     return smooth, speed
-
-
-def _impulse(motion: Motion, time: FloatArray) -> FloatArray:
-    """Integral of the sent force along z up to some times; each force holds until the next."""
-    steps = np.diff(motion.time_s)
-    total = np.concatenate([[0.0], np.cumsum(motion.force_N[:-1, ALONG] * steps)])
-    return np.asarray(np.interp(time, motion.time_s, total))

@@ -101,7 +101,10 @@ def owners_of(option: str) -> list[str]:
 def configured(name: str, asked: AskedDevice) -> dict[str, Any]:
     """Arguments of a device's class for what was asked; UsageError for an option of another device."""
     taken = () if name == AUTO else device_class(name).takes
-    for strange in (one for one in asked.given() if one not in taken):
+    # options that not every device has
+    for strange in ("port", "firmware", "calibration"):
+        if getattr(asked, strange) is None or strange in taken:
+            continue
         owners = owners_of(strange)
         way = f"add --device {owners[0]}" if name == AUTO else f"the device is {name}"
         msg = f"--{strange} belongs to {' and '.join(owners)}: {way}"

@@ -24,9 +24,7 @@ from tissueid.haptics import shared_hand as layout
 from tissueid.haptics.arm import ARM_MEMORY, HAND_FORCE, POSITION, TIME, Arm, arm_step, new_arm
 from tissueid.haptics.device import (
     HOMED,
-    PRESSED,
     REPLY,
-    WORDS_SIZE,
     Access,
     Capabilities,
     CompiledIO,
@@ -35,21 +33,16 @@ from tissueid.haptics.device import (
     HapticDevice,
     register,
 )
-from tissueid.haptics.guard import REPLY_LOST, REPLY_NONE, REPLY_VALID
+from tissueid.haptics.guard import REPLY_VALID
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import DEFAULT_DELAY_TICKS, GuardLimits
-from tissueid.haptics.shared_hand import FAULT_AT, FAULT_KIND, FAULT_SIZE, SharedHand
-
-#: Kinds of scripted faults: none; the device is gone; it is silent; its encoders stand still; encoder 1 jumps
-#: by FAULT_SIZE counts; it is no longer homed.
-FAULT_NONE, FAULT_GONE, FAULT_SILENT, FAULT_FROZEN, FAULT_JUMP, FAULT_UNHOMED = 0, 1, 2, 3, 4, 5
+from tissueid.haptics.shared_hand import SharedHand
 
 # --- memory behind the arm's
 FELT = ARM_MEMORY  # force at the grip now: 3
-HELD = ARM_MEMORY + 3  # counts last read: 3
-HEAD, PENDING, LOST = ARM_MEMORY + 6, ARM_MEMORY + 7, ARM_MEMORY + 8
+HEAD, PENDING, LOST = ARM_MEMORY + 3, ARM_MEMORY + 4, ARM_MEMORY + 5
 #: Forces under way: time of arrival and three components each.
-QUEUE = ARM_MEMORY + 10
+QUEUE = ARM_MEMORY + 6
 QUEUE_COLUMNS = 4
 #: A delay of more ticks than this loses forces; :class:`~tissueid.haptics.sim.SimulatedDevice` refuses it.
 QUEUE_LENGTH = 32
@@ -58,26 +51,14 @@ SIM_MEMORY = QUEUE + QUEUE_COLUMNS * QUEUE_LENGTH
 
 @tick_part
 def simulated_sample(
-    memory: FloatArray, parameters: FloatArray, position: FloatArray, counts: IntArray, words: IntArray
+    memory: FloatArray, parameters: FloatArray, position: FloatArray, counts: IntArray
 ) -> None:
-    """Write counts (3,), their position (3,) [m] and the words of a reading (WORDS_SIZE,)."""
-    kind = int(parameters[FAULT_KIND]) if memory[TIME] >= parameters[FAULT_AT] else FAULT_NONE
-    answers = kind not in (FAULT_GONE, FAULT_SILENT)
-    words[REPLY] = REPLY_VALID if answers else (REPLY_LOST if kind == FAULT_GONE else REPLY_NONE)
-    words[HOMED] = 1 if answers and kind != FAULT_UNHOMED else 0
-    words[PRESSED] = int(parameters[layout.BUTTONS])
-    if not answers:
-        return
+    """Write counts (3,) and their position (3,) [m]."""
     quantum = parameters[layout.QUANTUM]
     for i in range(3):
-        if kind != FAULT_FROZEN:
-            memory[HELD + i] = math.floor(memory[POSITION + i] / quantum + parameters[layout.PHASE + i])
-        said = memory[HELD + i]
-        if kind == FAULT_JUMP and i == 0:
-            said += parameters[FAULT_SIZE]
-        counts[i] = int(said)
+        counts[i] = math.floor(memory[POSITION + i] / quantum + parameters[layout.PHASE + i])
         # the middle of the count, so that rounding has no mean
-        position[i] = (said + 0.5 - parameters[layout.PHASE + i]) * quantum
+        position[i] = (counts[i] + 0.5 - parameters[layout.PHASE + i]) * quantum
 
 
 @tick_part
@@ -124,7 +105,8 @@ class SimulatedIO(NamedTuple):
 def _sense(io: SimulatedIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray) -> None:
     """Let the arm move for ``dt`` and read its encoders."""
     simulated_advance(io.memory, io.parameters, dt)
-    simulated_sample(io.memory, io.parameters, position, counts, words)
+    simulated_sample(io.memory, io.parameters, position, counts)
+    words[REPLY], words[HOMED] = REPLY_VALID, 1
 
 
 @tick_kernel
@@ -214,9 +196,6 @@ class SimulatedDevice(HapticDevice):
         self.memory[:ARM_MEMORY] = new_arm(self.hand.start_m)
         self._clock = clock
         self._clock_s: float | None = None
-        self._place = np.zeros(3)
-        self._said = np.zeros(3, np.int64)
-        self._words = np.zeros(WORDS_SIZE, np.int64)
 
     @classmethod
     def detect(cls) -> list[DetectedDevice]:
@@ -264,18 +243,9 @@ class SimulatedDevice(HapticDevice):
             if self._clock_s is not None:
                 simulated_advance(self.memory, self.parameters, now - self._clock_s)
             self._clock_s = now
-        simulated_sample(self.memory, self.parameters, self._place, self._said, self._words)
-        if self._words[REPLY] == REPLY_LOST:
-            msg = "unplugged by a scripted fault"
-            raise OSError(msg)
-        return DeviceSample(
-            time_s=self.time_s,
-            position_m=self._place.copy(),
-            counts=self._said.copy(),
-            buttons=int(self._words[PRESSED]),
-            homed=bool(self._words[HOMED]),
-            valid=bool(self._words[REPLY] == REPLY_VALID),
-        )
+        place, counts = np.zeros(3), np.zeros(3, np.int64)
+        simulated_sample(self.memory, self.parameters, place, counts)
+        return DeviceSample(self.time_s, place, counts, buttons=0, homed=True, valid=True)
 
     def _write(self, force_N: FloatArray) -> None:
         simulated_command(self.memory, self.parameters, force_N)
@@ -301,8 +271,6 @@ class ReplayDevice(HapticDevice):
         super().__init__(carried(limits or GuardLimits.simulated()))
         self._clock = clock
         self._started_s: float | None = None
-        self._time_s, self._position_m = np.zeros(1), np.array([CENTRE_M])
-        self._buttons = np.zeros(1, np.int64)
         self._log = log
         if log is not None:
             self._load(Path(log))

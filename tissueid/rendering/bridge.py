@@ -105,12 +105,6 @@ class UdpBridge:
             msg = f"--bridge {printable(send_to[0])}:{send_to[1]}: {error}; choose another port"
             raise UsageError(msg) from error
 
-    @property
-    def listens_on(self) -> tuple[str, int]:
-        """Address at which parameters are heard."""
-        host, port = self._in.getsockname()
-        return str(host), int(port)
-
     def send(self, records: NDArray[Any]) -> None:
         """Send the newest record, unless the last was sent a moment ago; never waits."""
         if not records.size or records["time_s"][-1] - self._last_s < INTERVAL_S:

@@ -13,14 +13,7 @@ from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.states import Lamp
 from tissueid.model.kernels import tissue_step_in
 from tissueid.model.rupture import static_force_in, stored_energy_in
-from tissueid.rendering.guidance import (
-    GUIDANCE_MEMORY,
-    M_TO_MM,
-    SAID_BONE_N,
-    SAID_HEIGHT_M,
-    SAID_PENETRATION_M,
-    guidance_step,
-)
+from tissueid.rendering import guidance as gd
 from tissueid.rendering.surface import touch
 
 #: Kinds of environment the compiled loop knows.
@@ -52,7 +45,7 @@ LAST_DEPTH, LAST_FORCE, SPEED, WORK, BROKEN = range(50, 55)
 #: :data:`~tissueid.rendering.surface.TOUCH_SIZE` numbers, the face first, then the normal.
 TOUCH, NORMAL = 55, 56
 #: What guidance says of a step; its own memory stands before it.
-SAID = GUIDANCE_MEMORY
+SAID = gd.GUIDANCE_MEMORY
 
 # -- what a step says -----------------------------------------------------------------------------
 INFO_SIZE = 8
@@ -103,10 +96,10 @@ def environment_step(
     if kind == TISSUE:
         _tissue(parameters, memory, position, velocity, dt, force, info)
     elif kind == GUIDANCE:
-        guidance_step(parameters, GUIDED, memory, position, dt, force, memory, SAID)
-        info[INFO_PENETRATION_M] = memory[SAID + SAID_PENETRATION_M]
-        info[INFO_DEPTH_MM] = -memory[SAID + SAID_HEIGHT_M] * M_TO_MM
-        info[INFO_TISSUE_FORCE_N] = memory[SAID + SAID_BONE_N]
+        gd.guidance_step(parameters, GUIDED, memory, position, dt, force, memory, SAID)
+        info[INFO_PENETRATION_M] = memory[SAID + gd.SAID_PENETRATION_M]
+        info[INFO_DEPTH_MM] = -memory[SAID + gd.SAID_HEIGHT_M] * gd.M_TO_MM
+        info[INFO_TISSUE_FORCE_N] = memory[SAID + gd.SAID_BONE_N]
         info[INFO_DEVICE_FORCE_N] = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
 
 
@@ -122,7 +115,7 @@ def _tissue(
 ) -> None:
     """One step against a tissue surface."""
     penetration = touch(parameters, SURFACE, position, memory, TOUCH)
-    depth = penetration / parameters[MOTION_SCALE] * M_TO_MM
+    depth = penetration / parameters[MOTION_SCALE] * gd.M_TO_MM
     tissue_force = tissue_step_in(parameters, LAW, memory, TISSUE_STATE, depth, dt)
     _rupture(parameters, memory, depth, tissue_force)
     if memory[BROKEN] > 0.0:
@@ -131,7 +124,7 @@ def _tissue(
     for i in range(3):
         inward -= velocity[i] * memory[NORMAL + i]
     share = dt / (dt + SPEED_FILTER_S)
-    memory[SPEED] += share * (inward / parameters[MOTION_SCALE] * M_TO_MM - memory[SPEED])
+    memory[SPEED] += share * (inward / parameters[MOTION_SCALE] * gd.M_TO_MM - memory[SPEED])
     speed = memory[SPEED]
     device_force = tissue_force * parameters[FORCE_SCALE]
     for i in range(3):

@@ -57,18 +57,14 @@ def first_start(device: str, tell: Callable[[str], None]) -> Iterator[bool]:
         raise
     finally:
         del os.environ[_SWITCH]
-        _await(compiling, tell)
-
-
-def _await(compiling: subprocess.Popen[bytes], tell: Callable[[str], None]) -> None:
-    """See the other process to its end: none is left behind."""
-    try:
-        if compiling.poll() is None:
-            tell(LAST_WORDS)
-        compiling.wait()
-    except KeyboardInterrupt:
-        compiling.terminate()
-        compiling.wait()
+        # the other process is seen to its end: none is left behind
+        try:
+            if compiling.poll() is None:
+                tell(LAST_WORDS)
+            compiling.wait()
+        except KeyboardInterrupt:
+            compiling.terminate()
+            compiling.wait()
 
 
 def compile_loop() -> None:

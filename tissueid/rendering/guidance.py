@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, impact_step
@@ -103,6 +105,14 @@ def _from_hyperboloid(
     if gap > 0.0:
         return math.sqrt((r - a * ch) ** 2 + (height - c * sh) ** 2)
     return float(gap * c * ch / length)
+
+
+def funnel_radius(funnel: FloatArray, z: FloatArray) -> FloatArray:
+    """Radius of the surface at heights from its throat or apex on [m], by its closed form."""
+    kind, a, b, c = funnel
+    if int(kind) == CONE:
+        return np.asarray(a * (z + PRINTED_ONE_M + b) / c)
+    return np.asarray(a * np.sqrt(1.0 + ((z + b) / c) ** 2))
 
 
 # -- the block, from an index on ------------------------------------------------------------------

@@ -7,7 +7,7 @@ velocity is a stiffness ``K tau / t_f`` that relaxes in t_f, and drilled bone a 
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from tissueid.model.passivity import damping_bound
 from tissueid.model.restitution import Variant, damping_factor
 from tissueid.rendering import environment as env
 from tissueid.rendering import guidance as gd
-from tissueid.rendering.guidance import CONE, HYPERBOLOID, M_TO_MM, hyperboloid_constants
 from tissueid.rendering.precheck import DAMPING_SHARE, Demands
 from tissueid.rendering.tissue_block import UNIT_TOLERANCE, Vector, free_air_block
 
@@ -50,8 +49,8 @@ class Funnel:
             if not (self.slope > 0.0 and self.offset_m >= 0.0):
                 msg = f"a cone needs a slope above 0 and an offset from 0, got {self.slope}, {self.offset_m}"
                 raise ValueError(msg)
-            return np.array([CONE, self.slope, self.offset_m, 1.0])
-        return np.array([HYPERBOLOID, *hyperboloid_constants(self.radius_m, self.offset_m, self.slope)])
+            return np.array([gd.CONE, self.slope, self.offset_m, 1.0])
+        return np.array([gd.HYPERBOLOID, *gd.hyperboloid_constants(self.radius_m, self.offset_m, self.slope)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,12 +129,12 @@ class Guidance:
         # fields of pull and bone stand in the block's order
         pack_impact(
             # the law steps in millimetres
-            funnel.stiffness_N_per_m_n * M_TO_MM**-funnel.exponent,
+            funnel.stiffness_N_per_m_n * gd.M_TO_MM**-funnel.exponent,
             funnel.exponent,
             damping_factor(funnel.restitution, funnel.law),
             out,
             gd.CONTACT,
-            slowest_mm_s=funnel.slowest_m_s * M_TO_MM,
+            slowest_mm_s=funnel.slowest_m_s * gd.M_TO_MM,
             filter_s=pull.filter_s,
             hysteresis_mm=0.2,
         )
@@ -191,19 +190,15 @@ class GuidanceCheck:
 
 def weaker(plan: Guidance, strength: float) -> Guidance:
     """A plan with all forces but the weight times a factor; feed and times stay."""
+
+    def times(part: Any, *names: str) -> Any:
+        return replace(part, **{name: strength * getattr(part, name) for name in names})
+
     return replace(
         plan,
-        funnel=replace(plan.funnel, stiffness_N_per_m_n=strength * plan.funnel.stiffness_N_per_m_n),
-        pull=replace(
-            plan.pull,
-            far_N_per_m=strength * plan.pull.far_N_per_m,
-            near_N_per_m=strength * plan.pull.near_N_per_m,
-        ),
-        bone=replace(
-            plan.bone,
-            stiffness_N_per_m=strength * plan.bone.stiffness_N_per_m,
-            resistance_N_s_per_m=strength * plan.bone.resistance_N_s_per_m,
-        ),
+        funnel=times(plan.funnel, "stiffness_N_per_m_n"),
+        pull=times(plan.pull, "far_N_per_m", "near_N_per_m"),
+        bone=times(plan.bone, "stiffness_N_per_m", "resistance_N_s_per_m"),
     )
 
 

@@ -87,7 +87,12 @@ def plan_session(options: RenderOptions) -> SessionPlan:
         _must_be_alone(options)
         asked = _asked(options)
         _must_fit(asked, None)
-        return (guided_session if guided else law_session)(asked)
+        if guided:
+            return guided_session(asked)
+        # of an installed force law nothing is known: no tissue, no scale, no precheck
+        block = np.concatenate([free_air_block(), PassivityLimits(on=options.control).block()])
+        line = f"law        {options.environment}: nothing is known of its stability"
+        return _without_tissue(asked, block, (line,), environment=options.environment)
     functional = parse_functional(options.of)
     picked, hashes = _tissues(options, functional)
     options, replayed = _replayed(options)
@@ -332,7 +337,16 @@ def _lines(
     options: RenderOptions, picked: tuple[Picked, ...], check: Precheck, functional: Functional
 ) -> list[str]:
     """Printed lines: nothing that gives a blind comparison away."""
-    text = [] if options.blind else [line for each in picked for line in _tissue_lines(each)]
+    text = []
+    for tissue, why in () if options.blind else ((each.tissue, each.why) for each in picked):
+        text.append(f"tissue     {tissue.name}: {why}")
+        law = tissue.rupture
+        if law is not None:
+            text.append(
+                f"rupture    at a {law.criterion.replace('-', ' ')} of {law.threshold:.4g} {law.unit} "
+                f"(median of its tests; a criterion is a reading); {100.0 * law.residual:.0f} % of the force "
+                "is left"
+            )
     if len(picked) > 1:
         one, other, ratio = noticeable_ratio(
             picked[0].tissue, picked[1].tissue, functional, force_scale=check.scaling.force
@@ -343,17 +357,6 @@ def _lines(
             + ("; hardly anybody would tell them apart" if ratio < 1.0 else "")
         )
     return text + check.lines()
-
-
-def _tissue_lines(each: Picked) -> list[str]:
-    """Lines on a tissue, and on its rupture."""
-    lines, law = [f"tissue     {each.tissue.name}: {each.why}"], each.tissue.rupture
-    if law is not None:
-        lines.append(
-            f"rupture    at a {law.criterion.replace('-', ' ')} of {law.threshold:.4g} {law.unit} (median of "
-            f"its tests; a criterion is a reading); {100.0 * law.residual:.0f} % of the force is left"
-        )
-    return lines
 
 
 def _must_be_alone(options: RenderOptions) -> None:
@@ -371,14 +374,6 @@ def _must_be_alone(options: RenderOptions) -> None:
 
 #: Height above the entry point at which a simulated hand begins [m].
 BEGIN_M = 0.03
-
-
-def law_session(asked: _Asked) -> SessionPlan:
-    """A session with an installed force law: no tissue, no scale, no precheck."""
-    options = asked.options
-    block = np.concatenate([free_air_block(), PassivityLimits(on=options.control).block()])
-    line = f"law        {options.environment}: nothing is known of its stability"
-    return _without_tissue(asked, block, (line,), environment=options.environment)
 
 
 def guided_session(asked: _Asked) -> SessionPlan:

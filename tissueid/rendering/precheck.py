@@ -176,12 +176,13 @@ def check_before_force(
     timing = {"period_s": demands.period_s, "delay_ticks": demands.delay_ticks}
     need = required_damping(model, theta, wanted, **timing)
     scaling = _affordable(tissue, wanted, need, demands, asked=force_scale is not None)
+    force = _fastest_force(tissue, np.linspace(0.0, tissue.model.depth_mm, GRID))
     result = Precheck(
         scaling=scaling,
         required_damping_N_s_per_m=need * scaling.force / wanted.force,
         demands=demands,
         wanted_force_scale=wanted.force,
-        clipped_share=_clipped_share(tissue, scaling, demands.clamp_N),
+        clipped_share=float(np.mean(force * scaling.force > demands.clamp_N)),
         depth_mm=tissue.model.depth_mm,
     )
     return replace(result, remarks=_remarks(tissue, result))
@@ -221,12 +222,6 @@ def _affordable(tissue: Tissue, wanted: Scaling, need: float, demands: Demands, 
     return lowered
 
 
-def _clipped_share(tissue: Tissue, scaling: Scaling, clamp_N: float) -> float:
-    """Share of the identified depth at which the force at the fastest speed is over the clamp."""
-    force = _fastest_force(tissue, np.linspace(0.0, tissue.model.depth_mm, GRID))
-    return float(np.mean(force * scaling.force > clamp_N))
-
-
 def _remarks(tissue: Tissue, check: Precheck) -> tuple[str, ...]:
     found = []
     scaling, demands = check.scaling, check.demands
@@ -241,7 +236,9 @@ def _remarks(tissue: Tissue, check: Precheck) -> tuple[str, ...]:
             f"{scaling.device_stiffness_N_per_m:.0f} N/m is stiffer than the {LARGEST_STIFFNESS_N_PER_M:.0f} "
             "N/m that such devices are driven with"
         )
-    viscous = _largest_viscous_force(tissue) * scaling.force
+    depth = np.linspace(0.0, tissue.model.depth_mm, GRID)
+    relaxing = _fastest_force(tissue, depth) - tissue.model.static_force(tissue.theta, depth)
+    viscous = float(relaxing.max()) * scaling.force
     if viscous < SMALLEST_PEAK_N:
         found.append(
             f"the relaxing part of the force is at most {viscous:.2g} N at the fastest identified speed: "
@@ -254,9 +251,3 @@ def _remarks(tissue: Tissue, check: Precheck) -> tuple[str, ...]:
             f"began at {tissue.speeds_mm_s[0]:.3g} mm/s"
         )
     return tuple(found)
-
-
-def _largest_viscous_force(tissue: Tissue) -> float:
-    """Largest branch force at the fastest identified speed [N of tissue]."""
-    depth = np.linspace(0.0, tissue.model.depth_mm, GRID)
-    return float((_fastest_force(tissue, depth) - tissue.model.static_force(tissue.theta, depth)).max())

@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
@@ -43,10 +44,12 @@ class Scene:
         return text
 
 
+_SCENES = resources.files("tissueid.rendering") / "scenes"
+
+
 def scene_names() -> tuple[str, ...]:
     """Scenes that come along."""
-    folder = resources.files("tissueid.rendering") / "scenes"
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir()))
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in _SCENES.iterdir()))
 
 
 def load_scene(given: str, *, plan: Path | None = None) -> Scene:
@@ -54,66 +57,43 @@ def load_scene(given: str, *, plan: Path | None = None) -> Scene:
 
     ``plan``: file of a patient's ``axis`` and ``entry_mm``, in the place of the scene's own.
     """
-    if given in scene_names():
-        text = (resources.files("tissueid.rendering") / "scenes" / f"{given}.toml").read_text(
-            encoding="utf-8"
-        )
-        folder = Path()
-    else:
-        path = Path(given)
-        if not path.is_file():
-            known = ", ".join(scene_names())
-            msg = f"--scene {printable(given)!r} is no file, and scenes that come along are {known}"
-            raise UsageError(msg)
-        text, folder = _text_of(path), path.parent
-    document = _parsed(text, given)
+    file = _SCENES / f"{given}.toml" if given in scene_names() else Path(given)
+    if not file.is_file():
+        known = ", ".join(scene_names())
+        msg = f"--scene {printable(given)!r} is no file, and scenes that come along are {known}"
+        raise UsageError(msg)
+    document, folder = _document(file, given), Path(given).parent
     if plan is not None:
         if "guidance" not in document:
             msg = f"--plan is an axis to be guided along, and scene {printable(given)!r} has no guidance"
             raise UsageError(msg)
-        document["plan"] = _parsed(_text_of(plan), str(plan))
+        document["plan"] = _document(plan, str(plan))
     problem = first_problem(document, "scene")
     if problem is not None:
         msg = f"scene {printable(given)!r}, {problem}"
         raise UsageError(msg)
+    tissue = document.get("tissue", {})
+    if "bundle" in tissue:
+        tissue["bundle"] = folder / tissue["bundle"]
     return Scene(
         name=document["name"],
         assumed=tuple(document.get("assumed", ())),
         device=document.get("device"),
-        tissue=_tissue(document.get("tissue", {}), folder),
+        tissue=tissue,
         guidance=_guidance(document, given, folder),
     )
 
 
-def _text_of(path: Path) -> str:
+def _document(file: Traversable, name: str) -> dict[str, Any]:
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        msg = f"{printable(str(path))}: can't be read ({reason}); name a TOML file, see docs/guidance.md"
-        raise UsageError(msg) from error
-
-
-def _parsed(text: str, name: str) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text)
+        return tomllib.loads(file.read_text(encoding="utf-8"))
     except tomllib.TOMLDecodeError as error:
         msg = f"{printable(name)} is no TOML: {error}"
         raise UsageError(msg) from error
-
-
-def _tissue(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    out = dict(table)
-    if "bundle" in out:
-        out["bundle"] = folder / out["bundle"]
-    return out
-
-
-def _funnel(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Fields of the guiding surface, with the contact law of recordings where one is named."""
-    fields = _in_metres(table)
-    named = fields.pop("contact_law", None)
-    return fields if named is None else fields | _law(folder / named)
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        msg = f"{printable(str(file))}: can't be read ({reason}); name a TOML file, see docs/guidance.md"
+        raise UsageError(msg) from error
 
 
 def _law(path: Path) -> dict[str, Any]:
@@ -143,11 +123,14 @@ def _guidance(document: Mapping[str, Any], given: str, folder: Path) -> Guidance
     weight = {"force_N": [0.0] * 3, "slope_N_per_m": [[0.0] * 3] * 3} | table.get("weight", {})
     rows = weight["slope_N_per_m"]
     x, y, z = (centre + MM * off for centre, off in zip(WORKSPACE_CENTRE_M, plan["entry_mm"], strict=True))
+    funnel = _in_metres(table.get("funnel", {}))
     try:
+        if "contact_law" in funnel:
+            funnel |= _law(folder / funnel.pop("contact_law"))
         return Guidance(
             entry_m=(x, y, z),
             axis=tuple(plan["axis"]),
-            funnel=Funnel(**_funnel(table.get("funnel", {}), folder)),
+            funnel=Funnel(**funnel),
             pull=Pull(**_in_metres(table.get("pull", {}))),
             bone=Bone(**_in_metres(table.get("bone", {}))),
             weight_N=tuple(weight["force_N"]),

@@ -110,9 +110,17 @@ def time_ticks() -> TickTimes:
         virtual_loop(io, servo, new_watch(), 0.0, np.full(START_TICKS, PERIOD_S))
         block.write(_tissue_at(DEPTH_M))
         took = np.zeros(TICKS, np.int64)
-        _time_each(io, servo, took, np.zeros(CLOCK_SIZE, np.int64))
-        force_step = _force_step_ns(servo)
-    return TickTimes(force_step, float(np.median(took)) * 1e-3, float(np.quantile(took, 0.99)) * 1e-3)
+        room = np.zeros(CLOCK_SIZE, np.int64)
+        _time_each(io, servo, took, room)
+        memory, info = np.zeros(MEMORY_SIZE), np.zeros(INFO_SIZE)
+        _force_steps(servo, memory, info, 1)
+        steps_ns = np.zeros(BLOCKS)
+        for k in range(BLOCKS):
+            begun = monotonic_ns(room)
+            _force_steps(servo, memory, info, FORCE_STEPS)
+            steps_ns[k] = (monotonic_ns(room) - begun) / FORCE_STEPS
+    median, high = np.quantile(took, [0.5, 0.99]) * 1e-3
+    return TickTimes(float(np.median(steps_ns)), float(median), float(high))
 
 
 def _tissue_at(height_m: float) -> FloatArray:
@@ -129,18 +137,6 @@ def _time_each(io: SimulatedIO, servo: Servo, took: IntArray, room: IntArray) ->
         begun = monotonic_ns(room)
         compiled_tick(io, servo, k * PERIOD_S, PERIOD_S, 0.0, 0)
         took[k] = monotonic_ns(room) - begun
-
-
-def _force_step_ns(servo: Servo) -> float:
-    room = np.zeros(CLOCK_SIZE, np.int64)
-    memory, info = np.zeros(MEMORY_SIZE), np.zeros(INFO_SIZE)
-    _force_steps(servo, memory, info, 1)
-    took = np.zeros(BLOCKS)
-    for k in range(BLOCKS):
-        begun = monotonic_ns(room)
-        _force_steps(servo, memory, info, FORCE_STEPS)
-        took[k] = (monotonic_ns(room) - begun) / FORCE_STEPS
-    return float(np.median(took))
 
 
 @tick_kernel

@@ -329,12 +329,9 @@ class ServoProcess:
         return words
 
     def _ended(self, words: dict[str, Any] | None) -> None:
-        if words is None:
-            raise self._failure(None, "died without a word")
-        if words.pop("event") == "ended":
-            self.end = msgspec.convert(words, ServoEnd)
-        else:
-            raise self._failure({"event": "failed", **words}, "")
+        if words is None or words["event"] != "ended":
+            raise self._failure(words, "died without a word")
+        self.end = msgspec.convert(words, ServoEnd)
 
     def _failure(self, words: dict[str, Any] | None, otherwise: str) -> errors.TissueidError:
         """Refusal of the process, or its end."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import select
 import signal
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict
 from types import FrameType
@@ -17,6 +18,7 @@ from typing import Any, Self
 import numba
 import numpy as np
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import without_scipy
 from tissueid.errors import DeviceError, TissueidError
 from tissueid.haptics.device import WAYS_OUT, HapticDevice, compiled_io
@@ -28,7 +30,6 @@ from tissueid.haptics.ring import Ring
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import FAULT_WORDS, Fault
-from tissueid.rendering.bounded_law import BoundedLaw
 from tissueid.rendering.first_start import is_compiled
 from tissueid.rendering.servo import REASONS, ServoEnd, ServoPlan, period_statistics, receive_plan, send_line
 from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
@@ -36,6 +37,51 @@ from tissueid.rendering.servo_schedule import make_punctual, settled
 from tissueid.rendering.servo_tick import MISSED, PythonIO, new_servo
 
 COMPILING = "compiling the servo's loop, 10 to 20 s, once on this machine"
+#: Longest time of one call of a law in Python [s]: until then the motors keep the last force.
+LONGEST_S = 0.05
+
+
+class _Overdue(BaseException):
+    """The law has not returned; no ``except Exception`` of a law catches it."""
+
+
+class BoundedLaw:
+    """A law in Python whose exceptions, wrong shapes and late returns are no number: a fault to the guard."""
+
+    def __init__(self, name: str, law: Callable[[FloatArray, FloatArray, float], Any]) -> None:
+        self.name, self.law = name, law
+        self.said = ""  # what went wrong: it is not called again
+        self._running = False
+
+    def __enter__(self) -> Self:
+        self._before = signal.signal(signal.SIGALRM, self._overdue)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        signal.signal(signal.SIGALRM, self._before)
+
+    def _overdue(self, _number: int, _frame: FrameType | None) -> None:
+        if self._running:
+            raise _Overdue
+
+    def __call__(self, position: FloatArray, velocity: FloatArray, dt: float) -> FloatArray:
+        """Force of the law [N], (3,); not a number once it failed."""
+        if self.said:
+            return np.full(3, np.nan)
+        try:
+            self._running = True
+            signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
+            force = np.asarray(self.law(position, velocity, dt), dtype=np.float64).reshape(3)
+            self._running = False
+        except BaseException as error:  # noqa: BLE001 - of somebody else's law nothing may pass
+            self._running = False
+            late = f"did not return within {1e3 * LONGEST_S:.0f} ms"
+            what = late if isinstance(error, _Overdue) else f"raised {type(error).__name__}: {error}"[:200]
+            self.said = f"{self.name} {what}"
+            force = np.full(3, np.nan)
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        return force
 
 
 class Signalled(BaseException):
@@ -75,15 +121,6 @@ def _must_be_owned(owner: int) -> None:
         raise DeviceError(FAULT_WORDS[Fault.PARENT_DIED])
 
 
-def _reach(device: HapticDevice, law: BoundedLaw | None) -> tuple[Any, bool]:
-    """Access of the loop to an open device, and if it is compiled."""
-    if law is not None:
-        return PythonIO(device, law), False
-    given = device.compiled()
-    compiles = not getattr(numba.config, "DISABLE_JIT", False)
-    return (PythonIO(device), False) if given is None else (compiled_io(given), compiles)
-
-
 def _share_hand(device: HapticDevice, hand: SharedHand) -> None:
     """Let a pointer lead a simulated hand; DeviceError for another device, which a real hand moves."""
     if not isinstance(device, SimulatedDevice):
@@ -110,7 +147,9 @@ def run_plan(
         device.while_waiting = lambda: _must_be_owned(owner)
         try:
             device.open()
-            io, compiled = _reach(device, law)
+            given = device.compiled() if law is None else None
+            io = PythonIO(device, law) if given is None else compiled_io(given)
+            compiled = given is not None and not getattr(numba.config, "DISABLE_JIT", False)
             loop = compiled_loop if compiled else realtime_loop
             servo = new_servo(device, ring, block)
             histogram = np.zeros(BINS + 1, np.int64)

@@ -41,7 +41,9 @@ def make_punctual(*, locked: bool) -> Schedule:
     """Ask for SCHED_FIFO, one processor and exact timers for this process; refusals are no errors."""
     remedies = []
     ctypes.CDLL(None, use_errno=True).prctl(PR_SET_TIMERSLACK, TIMERSLACK_NS, 0, 0, 0)
-    _bind()
+    # the last processor allowed: the first ones get most interrupts
+    with contextlib.suppress(OSError):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     if not locked:
         remedies.append(
             "memory is not locked, a page fault may delay a tick: add the line "
@@ -58,14 +60,6 @@ def make_punctual(*, locked: bool) -> Schedule:
             f"run: sudo setcap cap_sys_nice,cap_ipc_lock+ep {os.path.realpath(sys.executable)}"
         )
     return Schedule(name, locked, tuple(remedies))
-
-
-def _bind() -> None:
-    """Stay on the last processor allowed: the first ones get most interrupts."""
-    allowed = sorted(os.sched_getaffinity(0))
-    if len(allowed) > 1:
-        with contextlib.suppress(OSError):
-            os.sched_setaffinity(0, {allowed[-1]})
 
 
 def _lock(libc: ctypes.CDLL) -> bool:

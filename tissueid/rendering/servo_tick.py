@@ -17,53 +17,19 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
-from tissueid.haptics.device import (
-    HOMED,
-    PRESSED,
-    REPLY,
-    UNANSWERED,
-    WORDS_SIZE,
-    HapticDevice,
-    access_of,
-    compiled_io,
-)
+from tissueid.haptics import device as devices
+from tissueid.haptics import guard as machine
 from tissueid.haptics.foreign import store_release
-from tissueid.haptics.guard import (
-    DISENGAGE,
-    ENGAGE,
-    FAULT,
-    HOMING,
-    LAMPS,
-    REPLY_DAMAGED,
-    REPLY_LOST,
-    REPLY_NONE,
-    REPLY_VALID,
-    STATE,
-    SWAP,
-    WANTED,
-    guard,
-    observe,
-    observe_wire,
-    transition,
-    velocity_step,
-)
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock, take, waiting
 from tissueid.haptics.parameter_block import command as ordered
 from tissueid.haptics.ring import PUBLISHED_AT, Ring
 from tissueid.haptics.states import Lamp
 from tissueid.rendering import environment as env
+from tissueid.rendering import passivity_control as passivity
 from tissueid.rendering.environment import environment_step, put_at_rest
-from tissueid.rendering.passivity_control import (
-    ACTIVE,
-    CONTROL_MEMORY_SIZE,
-    CONTROL_SIZE,
-    TOTAL_J,
-    note_sent,
-    passivity_step,
-)
 
 #: Parameters of one version: the environment's, then the passivity controller's.
-BLOCK_SIZE = env.ENVIRONMENT_SIZE + CONTROL_SIZE
+BLOCK_SIZE = env.ENVIRONMENT_SIZE + passivity.CONTROL_SIZE
 
 #: Counters: ticks so far, ticks skipped, version of the parameters, whether a position was seen, whether a
 #: signal asked for the end.
@@ -118,15 +84,15 @@ class Servo(NamedTuple):
     staged: FloatArray  # (BLOCK_SIZE,), a version while it is taken over
 
 
-def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
+def new_servo(device: devices.HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
     """A servo at rest in free air, until parameters are published."""
     return Servo(
         guard_memory=device.guard_memory,
         limits=device.limits.block(),
         environment=np.zeros(env.ENVIRONMENT_SIZE),
         environment_memory=np.zeros(env.MEMORY_SIZE),
-        control=np.zeros(CONTROL_SIZE),
-        control_memory=np.zeros(CONTROL_MEMORY_SIZE),
+        control=np.zeros(passivity.CONTROL_SIZE),
+        control_memory=np.zeros(passivity.CONTROL_MEMORY_SIZE),
         position=np.zeros(3),
         last_position=np.zeros(3),
         velocity=np.zeros(3),
@@ -137,7 +103,7 @@ def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
         counts=np.zeros(3, np.int64),
         last_counts=np.zeros(3, np.int64),
         moved=np.zeros(3, np.int64),
-        words=np.zeros(WORDS_SIZE, np.int64),
+        words=np.zeros(devices.WORDS_SIZE, np.int64),
         counters=np.zeros(COUNTERS_SIZE, np.int64),
         ring_head=ring.head,
         records=ring.records,
@@ -150,7 +116,7 @@ def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
 class PythonIO(NamedTuple):
     """A device with methods in Python, and a force law in Python where there is one."""
 
-    device: HapticDevice
+    device: devices.HapticDevice
     law: Callable[..., Any] | None = None
 
 
@@ -164,13 +130,13 @@ class ServoHere(NamedTuple):
 
 
 @contextlib.contextmanager
-def servo_here(device: HapticDevice) -> Iterator[ServoHere]:
+def servo_here(device: devices.HapticDevice) -> Iterator[ServoHere]:
     """Open a device and put a servo on it; all is closed afterwards."""
     ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
     try:
         with device:
             given = device.compiled()
-            io = PythonIO(device) if given is None else compiled_io(given)
+            io = PythonIO(device) if given is None else devices.compiled_io(given)
             yield ServoHere(io, new_servo(device, ring, block), ring, block)
     finally:
         ring.close()
@@ -185,11 +151,12 @@ def _sense_python(io: PythonIO, position: FloatArray, counts: IntArray, words: I
     try:
         sample = io.device.sample()
     except DeviceError:
-        words[REPLY] = REPLY_LOST
+        words[devices.REPLY] = machine.REPLY_LOST
         return
-    words[REPLY] = REPLY_VALID if sample.valid else (REPLY_DAMAGED if sample.damaged else REPLY_NONE)
-    words[HOMED] = int(sample.homed)
-    words[PRESSED] = sample.buttons
+    without = machine.REPLY_DAMAGED if sample.damaged else machine.REPLY_NONE
+    words[devices.REPLY] = machine.REPLY_VALID if sample.valid else without
+    words[devices.HOMED] = int(sample.homed)
+    words[devices.PRESSED] = sample.buttons
     if sample.valid:
         position[:] = sample.position_m
         counts[:] = sample.counts
@@ -200,25 +167,25 @@ def sense(io: Any, dt: float, position: FloatArray, counts: IntArray, words: Int
     if isinstance(io, PythonIO):
         _sense_python(io, position, counts, words)
     else:
-        access_of(type(io)).sense(io, dt, position, counts, words)
+        devices.access_of(type(io)).sense(io, dt, position, counts, words)
 
 
 def command(io: Any, guard_memory: FloatArray, limits: FloatArray, force: FloatArray) -> None:
     """Send a force [N] that passed the guard; called by :func:`send` alone."""
-    access_of(type(io)).command(io, guard_memory, limits, force)
+    devices.access_of(type(io)).command(io, guard_memory, limits, force)
 
 
 @overload(sense)
 def _compiled_sense(io, dt, position, counts, words):  # type: ignore[no-untyped-def] # noqa: ARG001
     """The reading of this kind of device, built into the loop."""
-    kernel = access_of(io.instance_class).sense
+    kernel = devices.access_of(io.instance_class).sense
     return lambda io, dt, position, counts, words: kernel(io, dt, position, counts, words)
 
 
 @overload(command)
 def _compiled_command(io, guard_memory, limits, force):  # type: ignore[no-untyped-def] # noqa: ARG001
     """The command of this kind of device, built into the loop."""
-    kernel = access_of(io.instance_class).command
+    kernel = devices.access_of(io.instance_class).command
     return lambda io, guard_memory, limits, force: kernel(io, guard_memory, limits, force)
 
 
@@ -244,11 +211,11 @@ def _count_motion(fresh: bool, valid: bool, counts: IntArray, last_counts: IntAr
 def _obey(guard_memory: FloatArray, limits: FloatArray, block_head: IntArray, counters: IntArray) -> bool:
     """Want force or none as the owner or a signal does; True where new parameters may be taken now."""
     wanted = ordered(block_head) == COMMAND_ENGAGE and counters[TOLD_TO_END] == 0
-    if wanted and guard_memory[WANTED] == 0.0:
-        transition(guard_memory, limits, ENGAGE)
-    elif not wanted and guard_memory[WANTED] != 0.0:
-        transition(guard_memory, limits, DISENGAGE)
-    return bool(waiting(block_head) and transition(guard_memory, limits, SWAP))
+    if wanted and guard_memory[machine.WANTED] == 0.0:
+        machine.transition(guard_memory, limits, machine.ENGAGE)
+    elif not wanted and guard_memory[machine.WANTED] != 0.0:
+        machine.transition(guard_memory, limits, machine.DISENGAGE)
+    return bool(waiting(block_head) and machine.transition(guard_memory, limits, machine.SWAP))
 
 
 @tick_kernel
@@ -264,7 +231,7 @@ def _exchange(
     version = take(block_head, block_values, staged)
     for i in range(env.ENVIRONMENT_SIZE):
         environment[i] = staged[i]
-    for i in range(CONTROL_SIZE):
+    for i in range(passivity.CONTROL_SIZE):
         control[i] = staged[env.ENVIRONMENT_SIZE + i]
     put_at_rest(environment_memory)
     return int(version)
@@ -302,7 +269,7 @@ def send(
 def _send(
     io: Any, guard_memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, out: FloatArray
 ) -> None:
-    guard(guard_memory, limits, force, dt, out)
+    machine.guard(guard_memory, limits, force, dt, out)
     command(io, guard_memory, limits, out)
 
 
@@ -315,8 +282,8 @@ def _compiled_send(io, guard_memory, limits, force, dt, out):  # type: ignore[no
 @tick_part
 def _lamps(guard_memory: FloatArray, control_memory: FloatArray, info: FloatArray) -> int:
     """Lamps of guard, environment and controller."""
-    lamps = int(guard_memory[LAMPS]) | int(info[env.INFO_FLAGS])
-    return lamps | _PASSIVITY if control_memory[ACTIVE] != 0.0 else lamps
+    lamps = int(guard_memory[machine.LAMPS]) | int(info[env.INFO_FLAGS])
+    return lamps | _PASSIVITY if control_memory[passivity.ACTIVE] != 0.0 else lamps
 
 
 @tick_kernel
@@ -336,11 +303,11 @@ def _record(servo: Servo, now_s: float, dt: float, late_s: float, lamps: int) ->
     record["tissue_force_N"] = servo.info[env.INFO_TISSUE_FORCE_N]
     record["speed_mm_per_s"] = servo.info[env.INFO_SPEED_MM_S]
     record["surface_mm"] = servo.info[env.INFO_SURFACE_MM]
-    record["energy_J"] = servo.control_memory[TOTAL_J]
+    record["energy_J"] = servo.control_memory[passivity.TOTAL_J]
     record["lamps"] = lamps
-    record["state"] = int(servo.guard_memory[STATE])
-    record["fault"] = int(servo.guard_memory[FAULT])
-    record["buttons"] = servo.words[PRESSED]
+    record["state"] = int(servo.guard_memory[machine.STATE])
+    record["fault"] = int(servo.guard_memory[machine.FAULT])
+    record["buttons"] = servo.words[devices.PRESSED]
     record["late_s"] = late_s
     record["version"] = counters[VERSION]
     record["missed"] = min(counters[MISSED], MISSED_LIMIT)
@@ -359,10 +326,10 @@ def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lam
         servo.position, servo.velocity, servo.force, servo.info, servo.words,
     )  # fmt: skip
     sense(io, dt, position, servo.counts, words)
-    valid = words[REPLY] == REPLY_VALID
+    valid = words[devices.REPLY] == machine.REPLY_VALID
     # until homing ends coordinates jump, and the first reading may be an answer from before the loop began,
     # seconds old: nothing moved
-    fresh = servo.counters[SEEN] < FRESH_READINGS or memory[STATE] <= HOMING
+    fresh = servo.counters[SEEN] < FRESH_READINGS or memory[machine.STATE] <= machine.HOMING
     _count_motion(fresh, valid, servo.counts, servo.last_counts, servo.moved)
     servo.since_valid[0] += dt
     if valid:
@@ -372,7 +339,7 @@ def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lam
                 servo.last_position[i] = position[i]
                 velocity[i] = 0.0
         # over the whole gap where readings were missing, or a slow hand would look fast after it
-        velocity_step(velocity, position, servo.last_position, servo.since_valid[0])
+        machine.velocity_step(velocity, position, servo.last_position, servo.since_valid[0])
         servo.since_valid[0] = 0.0
     if _obey(memory, limits, servo.block_head, servo.counters):
         servo.counters[VERSION] = _exchange(
@@ -384,14 +351,12 @@ def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lam
     if apply_law(io, position, velocity, step, force):
         # such a law knows no depth: engaging waits for a small force, an exchange for no force at all
         info[env.INFO_PENETRATION_M] = np.nan
-    passivity_step(servo.control_memory, servo.control, position, force, dt)
-    observe(
-        memory, limits, words[REPLY], words[HOMED] != 0, words[PRESSED], servo.moved, velocity,
-        info[env.INFO_PENETRATION_M], dt,
-    )  # fmt: skip
-    observe_wire(memory, limits, words[UNANSWERED], dt)
+    passivity.passivity_step(servo.control_memory, servo.control, position, force, dt)
+    homed, buttons, depth = words[devices.HOMED] != 0, words[devices.PRESSED], info[env.INFO_PENETRATION_M]
+    machine.observe(memory, limits, words[devices.REPLY], homed, buttons, servo.moved, velocity, depth, dt)
+    machine.observe_wire(memory, limits, words[devices.UNANSWERED], dt)
     send(io, memory, limits, force, dt, servo.out)
-    note_sent(servo.control_memory, servo.out)
+    passivity.note_sent(servo.control_memory, servo.out)
     _record(servo, now_s, dt, late_s, _lamps(memory, servo.control_memory, info) | late_lamp)
 
 

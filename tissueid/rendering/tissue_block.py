@@ -237,7 +237,18 @@ def _height_m(numbers: FloatArray) -> float:
 
 def surface_remarks(tissue: Tissue, shape: Shape, tip_radius_mm: float | None) -> list[str]:
     """Remarks on tip and curvature; BundleError for another tip, or a surface too curved or too small."""
-    remarks = _tip_remarks(tissue, tip_radius_mm)
+    remarks, known = [], tissue.tip_radius_mm
+    # a cone that was stated has no radius
+    if known is None and tissue.tip is None:
+        remarks.append(
+            "the bundle does not say with which tip it was identified: what is felt is that tip's force"
+        )
+    elif known is not None and tip_radius_mm is not None and abs(tip_radius_mm - known) > SAME_TIP * known:
+        msg = (
+            f"the tissue was identified with a tip of {known:g} mm radius: its law does not hold for "
+            f"{tip_radius_mm:g} mm; leave --tip-radius out, or fit recordings made with that tip"
+        )
+        raise BundleError(msg)
     depth = tissue.model.depth_mm
     kind, sizes = shape
     if kind == "plane":
@@ -248,7 +259,7 @@ def surface_remarks(tissue: Tissue, shape: Shape, tip_radius_mm: float | None) -
             f"make it at least {SMALLEST_DEPTHS * depth:.3g} mm"
         )
         raise BundleError(msg)
-    length = tissue.tip_radius_mm or tip_radius_mm or depth
+    length = known or tip_radius_mm or depth
     if kind == "sphere":
         loss = 1.0 - math.sqrt(sizes[0] / (sizes[0] + length))
         if loss > REFUSED_LOSS:
@@ -265,19 +276,3 @@ def surface_remarks(tissue: Tissue, shape: Shape, tip_radius_mm: float | None) -
     elif 0.5 * min(sizes[:2]) < EDGE_DISTANCE * length:
         remarks.append("identified far from edges: near the edges of the box real tissue would be softer")
     return remarks
-
-
-def _tip_remarks(tissue: Tissue, tip_radius_mm: float | None) -> list[str]:
-    known = tissue.tip_radius_mm
-    if known is None and tissue.tip is not None:
-        # of a cone: it has no radius
-        return []
-    if known is None:
-        return ["the bundle does not say with which tip it was identified: what is felt is that tip's force"]
-    if tip_radius_mm is not None and abs(tip_radius_mm - known) > SAME_TIP * known:
-        msg = (
-            f"the tissue was identified with a tip of {known:g} mm radius: its law does not hold for "
-            f"{tip_radius_mm:g} mm; leave --tip-radius out, or fit recordings made with that tip"
-        )
-        raise BundleError(msg)
-    return []

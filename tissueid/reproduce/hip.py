@@ -6,14 +6,12 @@ from collections.abc import Callable, Sequence
 from typing import Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.documents.reproduction import Figure, Item, Trace
 from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, impact_step, pack_impact
 from tissueid.model.restitution import damping_factor
 from tissueid.rendering import guidance as gd
-from tissueid.rendering.guidance import hyperboloid_constants
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
 from tissueid.reproduce.published import PIRES, Kind, Ledger, Readings, Said, near, points
 
@@ -87,8 +85,11 @@ def guidance_forces(readings: Readings) -> tuple[list[Item], Figure]:
             force = points(swept[height][:, column], 5)
             traces.append(Trace(f"{name}, {height:g} mm", tuple(error.tolist()), force, style, None))
     slopes = [float(swept[height][1, 0] / (1e-3 * error[1])) for height in HEIGHTS_MM]
+    # the free side of the surface, by its closed form
+    wide_m = gd.funnel_radius(plan.funnel.numbers(), 1e-3 * np.array(HEIGHTS_MM))
     inside = max(
-        float(pushed[_within(plan, height, error), 1].max(initial=0.0)) for height, pushed in swept.items()
+        float(pushed[1e-3 * error < radius_m, 1].max(initial=0.0))
+        for radius_m, pushed in zip(wide_m, swept.values(), strict=True)
     )
     at_axis = max(float(pushed[0, 0]) for pushed in swept.values())
     items = [*_guidance_claims(ledger, at_axis, slopes, inside), _time_constant()]
@@ -127,17 +128,6 @@ def _pushed(plan: Guidance, positions_m: Sequence[tuple[float, float, float]], s
         gd.guidance_step(block, 0, memory, np.array(position), step_s, force, said, 0)
         found[k] = said[gd.SAID_PULL_N], said[gd.SAID_WALL_N]
     return found
-
-
-def _within(plan: Guidance, height_mm: float, error_mm: FloatArray) -> NDArray[np.bool_]:
-    """Radial errors on the free side of the surface, by its closed form."""
-    funnel, z = plan.funnel, 1e-3 * height_mm
-    if funnel.kind == "cone":
-        radius = funnel.slope * (z + funnel.offset_m)
-    else:
-        throat, offset, opening = hyperboloid_constants(funnel.radius_m, funnel.offset_m, funnel.slope)
-        radius = throat * np.hypot(1.0, (z + offset) / opening)
-    return np.asarray(1e-3 * error_mm < radius)
 
 
 def _time_constant() -> Item:

@@ -181,10 +181,6 @@ class Ledger:
         if words not in self._readings:
             self._readings.append(words)
 
-    def branch(self) -> Ledger:
-        """A ledger that starts with what was used so far; what it hands out stays its own."""
-        return Ledger(self.paper, self.where, [*self._used], [*self._assumed], [*self._readings])
-
     def item(
         self,
         key: str,

@@ -9,6 +9,7 @@ recordings.  Here 17 specimens scatter by an assumed 15 %, and each is predicted
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from tempfile import TemporaryDirectory
 
@@ -194,7 +195,8 @@ def relaxation_tests(readings: Readings, effort: Effort) -> tuple[list[Item], Fi
         ledger = Ledger(SADEGHNEJAD, "Table 1")
         test = _test_recipe(ledger, readings, depth, effort.rate_Hz)
         if test is None:
-            items += _impossible(ledger, depth)
+            note = "under these readings the branch alone exceeds the printed peak: they contradict the table"
+            items += [ledger.item(f"table-1/{name}-{depth}mm", None, note=note) for name in ("peak", "tau")]
             continue
         trials = read_back(test, seed=effort.seed + depth)
         items += _test_rows(ledger, readings, effort, depth, trials)
@@ -235,7 +237,7 @@ def _test_rows(
     degree = 0 if readings.stiffness == "constant" else 1
     (fit,) = fitted(trials, effort, stiffness_degree=degree)
     value, interval = relaxation_of(fit, readings)
-    imitation = elastic_imitation(ledger.branch(), readings, depth)
+    imitation = elastic_imitation(deepcopy(ledger), readings, depth)
     return [
         structs.replace(
             ledger.item(
@@ -248,11 +250,6 @@ def _test_rows(
             instrument=imitation,
         ),
     ]
-
-
-def _impossible(ledger: Ledger, depth: int) -> list[Item]:
-    note = "under these readings the branch alone exceeds the printed peak: they contradict the table"
-    return [ledger.item(f"table-1/{name}-{depth}mm", None, note=note) for name in ("peak", "tau")]
 
 
 def _mean() -> Item:

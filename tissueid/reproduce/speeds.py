@@ -131,11 +131,7 @@ def force_displacement(readings: Readings) -> tuple[list[Item], Figure]:
 def rupture_force(tissue: Tissue, speed_mm_min: float, criterion: str, slow_depth_mm: float) -> float:
     """Force at which a tissue ruptures that would, infinitely slowly, rupture at a given depth [N].
 
-    ``criterion``: of :data:`tissueid.rupture_law.CRITERIA`.
-
-    Notes
-    -----
-    No criterion follows from the model: equation (7) alone lets force grow with speed at any depth.
+    ``criterion``: of :data:`tissueid.rupture_law.CRITERIA`; none of them follows from the model.
     """
     powers = np.arange(1, len(tissue.static) + 1)
     energy = float(np.sum(np.array(tissue.static) * slow_depth_mm ** (powers + 1) / (powers + 1)))

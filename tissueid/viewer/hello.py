@@ -23,7 +23,6 @@ from tissueid.haptics.states import FAULT_WORDS, Lamp, State
 from tissueid.model.channels import loading_force
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.environment import GUIDED
-from tissueid.rendering.guidance import CONE, PRINTED_ONE_M
 from tissueid.rendering.session_plan import SessionPlan
 from tissueid.rendering.tissue_block import Tissue
 from tissueid.store.bundle import load_bundle
@@ -46,9 +45,14 @@ def guided_objects(block: Sequence[float]) -> list[dict[str, Any]]:
     entry, axis = numbers[gd.ORIGIN : gd.ORIGIN + 3], numbers[gd.AXIS : gd.AXIS + 3]
     drilled_m = float(numbers[gd.DRILL_END])
     place = {"entry_m": entry.tolist(), "axis": axis.tolist()}
+    funnel = numbers[gd.FUNNEL : gd.CONTACT]
+    # points (r, z) from the lowest place that is felt
+    lowest_m = funnel[gd.B] + (gd.PRINTED_ONE_M if int(funnel[gd.KIND]) == gd.CONE else 0.0)
+    z = np.linspace(-lowest_m, DRAWN_M, POINTS)
+    profile = np.column_stack([gd.funnel_radius(funnel, z), z]).tolist()
     objects: list[dict[str, Any]] = [
         {"kind": "axis", **place, "from_m": -drilled_m, "to_m": DRAWN_M},
-        {"kind": "funnel", **place, "profile_m": _profile(numbers[gd.FUNNEL : gd.CONTACT])},
+        {"kind": "funnel", **place, "profile_m": profile},
     ]
     radius_m = float(numbers[gd.RADIUS])
     if radius_m > 0.0:
@@ -57,18 +61,6 @@ def guided_objects(block: Sequence[float]) -> list[dict[str, Any]]:
             {"kind": "bone", **place, "radius_m": radius_m, "hole_radius_m": hole_m, "drill_m": drilled_m}
         )
     return objects
-
-
-def _profile(funnel: np.ndarray) -> list[list[float]]:
-    """Points (r, z) of the surface, from its lowest place that is felt."""
-    kind, a, b, c = funnel
-    if int(kind) == CONE:
-        z = np.linspace(-PRINTED_ONE_M - b, DRAWN_M, POINTS)
-        radius = a * (z + PRINTED_ONE_M + b) / c
-    else:
-        z = np.linspace(-b, DRAWN_M, POINTS)
-        radius = a * np.sqrt(1.0 + ((z + b) / c) ** 2)
-    return [[float(one), float(height)] for one, height in zip(radius, z, strict=True)]
 
 
 PROTOCOL = 1

@@ -24,6 +24,7 @@ import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -181,14 +182,19 @@ class Guarded:
         if scope["type"] not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
-        why = self._refusal(scope)
-        if why is not None:
-            self._log.note(_name(scope), why)
-            await self._refuse(scope, receive, send, why)
-        elif scope["type"] == "websocket":
-            await self._app(scope, receive, send)
+        why, websocket = self._refusal(scope), scope["type"] == "websocket"
+        headed = send if websocket else self._with_headers(send)
+        if why is None:
+            await self._app(scope, receive, headed)
+            return
+        self._log.note(_name(scope), why)
+        if websocket:
+            # before it is accepted: the handshake is answered with 403
+            await receive()
+            await send({"type": "websocket.close", "code": NOT_ALLOWED, "reason": why[:100]})
         else:
-            await self._app(scope, receive, self._with_headers(send))
+            words = f"refused: {why}. Open the address that the terminal shows.\n"
+            await PlainTextResponse(words, status_code=403)(scope, receive, headed)
 
     def _refusal(self, scope: Scope) -> str | None:
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
@@ -201,15 +207,6 @@ class Guarded:
         token = self._access.token if scope["path"].startswith("/static/") else _token(scope)
         # what changes something comes from the page itself, like what carries samples
         return self._access.refusal(headers, token, websocket=websocket or scope["method"] != "GET")
-
-    async def _refuse(self, scope: Scope, receive: Receive, send: Send, why: str) -> None:
-        if scope["type"] == "websocket":
-            # before it is accepted: the handshake is answered with 403
-            await receive()
-            await send({"type": "websocket.close", "code": NOT_ALLOWED, "reason": why[:100]})
-            return
-        words = f"refused: {why}. Open the address that the terminal shows.\n"
-        await PlainTextResponse(words, status_code=403)(scope, receive, self._with_headers(send))
 
     def _with_headers(self, send: Send) -> Send:
         async def sent(message: Message) -> None:
@@ -232,17 +229,12 @@ def _name(scope: Scope) -> str:
     return "a client" if client is None else f"{client[0]}:{client[1]}"
 
 
-def viewer_app(stage: Stage, access: Access, *, bundle: Path = BUNDLE) -> ASGIApp:
+def viewer_app(stage: Stage, access: Access) -> ASGIApp:
     """The application: what a stage shows, to whom ``access`` lets in."""
 
     async def page(_request: object) -> Response:
-        file = bundle / "index.html"
-        if not file.is_file():
-            return HTMLResponse(MISSING_BUNDLE, status_code=503)
-        return FileResponse(file)
-
-    async def samples(websocket: WebSocket) -> None:
-        await _serve_client(websocket, stage)
+        file = BUNDLE / "index.html"
+        return FileResponse(file) if file.is_file() else HTMLResponse(MISSING_BUNDLE, status_code=503)
 
     @asynccontextmanager
     async def running(_app: Starlette) -> AsyncIterator[None]:
@@ -253,8 +245,8 @@ def viewer_app(stage: Stage, access: Access, *, bundle: Path = BUNDLE) -> ASGIAp
     app = Starlette(
         routes=[
             Route("/", page, methods=["GET"]),
-            Mount("/static", StaticFiles(directory=bundle, check_dir=False)),
-            WebSocketRoute("/ws", samples),
+            Mount("/static", StaticFiles(directory=BUNDLE, check_dir=False)),
+            WebSocketRoute("/ws", partial(_serve_client, stage=stage)),
         ],
         lifespan=running,
     )
@@ -393,8 +385,8 @@ class Owner:
 
     def __init__(self, link: socket.socket) -> None:
         self.link = link
+        self.descriptors: list[int] = []  # those that came since the last were taken
         self._text = b""
-        self._descriptors: list[int] = []
 
     def read(self) -> list[dict[str, Any]] | None:
         """Whole lines that have come; None where the owner is gone."""
@@ -406,20 +398,22 @@ class Owner:
             return None
         if not data:
             return None
-        self._descriptors += descriptors
+        self.descriptors += descriptors
         *lines, self._text = (self._text + data).split(b"\n")
         return [json.loads(line) for line in lines]
-
-    def descriptors(self) -> list[int]:
-        """Those that came since the last call."""
-        found, self._descriptors = self._descriptors, []
-        return found
 
 
 def obey(stage: Stage, words: dict[str, Any], owner: Owner) -> None:
     """Do what a line of the owner says, with the descriptors that came with it."""
     if "live" in words:
-        _show_live(stage, words["live"], owner.descriptors())
+        os.setpriority(os.PRIO_PROCESS, 0, max(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)))
+        live, pointer = words["live"], None
+        ring, *hand = owner.descriptors
+        owner.descriptors = []
+        if hand:
+            low_m, high_m = np.array(live["workspace_m"]).T
+            pointer = HandPointer(SharedHand.attach(hand[0]), np.array(live["rest_m"]), low_m, high_m)
+        stage.show_live(live["hello"], LiveFeed(Ring.attach(ring)), pointer)
     elif "log" in words:
         from tissueid.store.session_log import read_session_log
 
@@ -429,15 +423,6 @@ def obey(stage: Stage, words: dict[str, Any], owner: Owner) -> None:
         stage.tell(words["status"])
     elif "end" in words:
         stage.end()
-
-
-def _show_live(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> None:
-    os.setpriority(os.PRIO_PROCESS, 0, max(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)))
-    pointer = None
-    if len(descriptors) > 1:
-        low_m, high_m = np.array(words["workspace_m"]).T
-        pointer = HandPointer(SharedHand.attach(descriptors[1]), np.array(words["rest_m"]), low_m, high_m)
-    stage.show_live(words["hello"], LiveFeed(Ring.attach(descriptors[0])), pointer)
 
 
 async def _serve(link: socket.socket, listening: socket.socket) -> None:

@@ -46,11 +46,9 @@ class ViewerOptions:
             if file is not None and not file.is_file():
                 msg = f"{printable(str(file))}: there is no such file"
                 raise UsageError(msg)
-        if self.certificate is not None:
-            self._check_pair()
-
-    def _check_pair(self) -> None:
-        """Refuse files that the server could not use."""
+        if self.certificate is None:
+            return
+        # files that the server could not use
         try:
             ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(
                 str(self.certificate), str(self.key), password=_no_password

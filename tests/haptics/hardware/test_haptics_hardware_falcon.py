@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
@@ -15,7 +14,6 @@ from tissueid.haptics.falcon.packets import BUTTON_NAMES, LED_BLUE, LED_GREEN, L
 from tissueid.haptics.measure import engage, measure_link, record
 from tissueid.haptics.states import State
 
-Ask = Callable[..., str]
 Readings = dict[str, Any]
 COLOURS = {"green": LED_GREEN, "blue": LED_BLUE, "red": LED_RED}
 #: A push that is felt and harmless [N], and how long it lasts [s].

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,8 @@ class FalconDevice(HapticDevice):
 
     name = "falcon"
     takes = ("port", "firmware", "calibration")
+    #: Calibration of a grip that must be free, where no file was named: the user's.
+    own_calibration: ClassVar[Callable[[], Calibration]] = staticmethod(load_calibration)
 
     def __init__(
         self,
@@ -93,14 +95,9 @@ class FalconDevice(HapticDevice):
         if asked.calibration is not None:
             found["calibration"] = load_calibration(asked.calibration)
         if asked.hands_off:
-            found.setdefault("calibration", cls._own_calibration())
+            found.setdefault("calibration", cls.own_calibration())
             found["limits"] = limits_of(found["calibration"], hands_off=True)
         return found
-
-    @classmethod
-    def _own_calibration(cls) -> Calibration:
-        """The user's file."""
-        return load_calibration()
 
     @classmethod
     def typical(cls) -> Capabilities:

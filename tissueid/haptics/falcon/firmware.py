@@ -90,13 +90,12 @@ def find_firmware(path: str | os.PathLike[str] | None = None) -> Firmware:
         msg = f"firmware file {file} {what}; name another with --firmware FILE"
         raise DeviceError(msg)
     digest = hashlib.sha256(content).hexdigest()
-    if (digest[:8], digest[-4:], len(content)) in KNOWN:
-        return Firmware(file, content, None)
+    known = (digest[:8], digest[-4:], len(content)) in KNOWN
     warning = (
         f"{file} is no firmware known to work ({len(content)} bytes, sha256 {digest[:12]}...);"
         " it is sent as it is, since you named it"
     )
-    return Firmware(file, content, warning)
+    return Firmware(file, content, None if known else warning)
 
 
 def is_running(transport: Transport) -> bool:
@@ -116,7 +115,14 @@ def is_running(transport: Transport) -> bool:
 def upload(transport: Transport, content: bytes, progress: Progress) -> None:
     """One try to load firmware, told as message, bytes done and in all; UploadError: open the device anew."""
     _say_hello(transport)
-    _get_ready(transport)
+    transport.set_dtr(on=False)
+    transport.set_baud(BAUD_UPLOAD)
+    transport.write(READY)
+    # a late answer to an earlier call may stand before it, and has no such byte
+    received = _read_until(transport, lambda got: got.endswith(READY), ECHO_WAIT_S)
+    if not received.endswith(READY):
+        msg = f"the loader answered {received!r} to {READY!r}"
+        raise UploadError(msg)
     for start in range(0, len(content), CHUNK):
         chunk = content[start : start + CHUNK]
         transport.write(chunk)
@@ -193,18 +199,6 @@ def _say_hello(transport: Transport) -> None:
         received = received[-len(HELLO_REPLY) :]
     msg = f"no answer to {HELLO_TRIES} calls of the loader"
     raise NoLoaderError(msg)
-
-
-def _get_ready(transport: Transport) -> None:
-    """Go to the speed of the upload."""
-    transport.set_dtr(on=False)
-    transport.set_baud(BAUD_UPLOAD)
-    transport.write(READY)
-    # a late answer to an earlier call may stand before it, and has no such byte
-    received = _read_until(transport, lambda got: got.endswith(READY), ECHO_WAIT_S)
-    if not received.endswith(READY):
-        msg = f"the loader answered {received!r} to {READY!r}"
-        raise UploadError(msg)
 
 
 def _read_until(

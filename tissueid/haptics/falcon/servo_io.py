@@ -9,34 +9,13 @@ from numba import types
 
 from tissueid.arrays import ByteArray, FloatArray, IntArray
 from tissueid.compiled import tick_kernel
-from tissueid.haptics.device import HOMED as IS_HOMED
-from tissueid.haptics.device import PRESSED, REPLY, Access, CompiledIO, register
+from tissueid.haptics import guard as machine
+from tissueid.haptics.device import HOMED, PRESSED, REPLY, Access, CompiledIO, register
 from tissueid.haptics.device import UNANSWERED as WITHOUT_ANSWER
+from tissueid.haptics.falcon import packets
 from tissueid.haptics.falcon.kinematics import GUESS_M, angles_of_counts, forward_kernel, motor_units
-from tissueid.haptics.falcon.packets import (
-    ALL_HOMED,
-    BUTTONS,
-    ENCODERS,
-    HOMED,
-    INVALID,
-    PACKET_BYTES,
-    PARSER_SIZE,
-    encode_into,
-    leds_of_state,
-    parse_byte,
-)
 from tissueid.haptics.falcon.transport import ERROR_TIMEOUT, READ_BYTES, STATUS_BYTES, USB_PACKET_BYTES
 from tissueid.haptics.foreign import POLL_BROKEN, POLL_IN, POLL_OUT, by_address, libc_function, ready
-from tissueid.haptics.guard import (
-    LAMPS,
-    LATE_COMMANDS,
-    REPLY_APART,
-    REPLY_DAMAGED,
-    REPLY_LOST,
-    REPLY_NONE,
-    REPLY_VALID,
-    STATE,
-)
 from tissueid.haptics.limits import MOTOR_CLAMP
 from tissueid.haptics.states import Lamp
 
@@ -104,11 +83,11 @@ def _parts(given: CompiledIO) -> FalconParts:
     return FalconParts(
         units_per_Nm=float(given.constants[UNITS_PER_NM]),
         geometry=np.ascontiguousarray(given.constants[GEOMETRY:]),
-        parser=np.zeros(PARSER_SIZE, np.int64),
+        parser=np.zeros(packets.PARSER_SIZE, np.int64),
         flags=np.array([0, 0, 0, 0, -NEVER], np.int64),
         word=np.zeros(1, np.int64),
         incoming=np.zeros(READ_BYTES, np.uint8),
-        outgoing=np.zeros(PACKET_BYTES, np.uint8),
+        outgoing=np.zeros(packets.PACKET_BYTES, np.uint8),
         motor=np.zeros(3, np.int64),
         left=np.zeros(3),
         since=np.zeros(3, np.int64),
@@ -124,7 +103,7 @@ def _unanswered(flags: IntArray, answers: int) -> int:
     flags[UNANSWERED] = max(0, flags[UNANSWERED] - answers)
     flags[WAITED] += 1
     # answers that were lost now and then; more at once are late, and stay so until they come
-    if 0 < flags[UNANSWERED] < LATE_COMMANDS and flags[WAITED] >= GIVEN_UP_TICKS:
+    if 0 < flags[UNANSWERED] < machine.LATE_COMMANDS and flags[WAITED] >= GIVEN_UP_TICKS:
         flags[UNANSWERED] -= 1
         flags[WAITED] = 0
     # what a silence swallowed is not on its way any more
@@ -156,26 +135,26 @@ def _understand(
     parts: FalconParts, replies: int, position: FloatArray, counts: IntArray, words: IntArray
 ) -> None:
     """The last whole reply as position, counts and buttons."""
-    damaged = parts.parser[INVALID] - parts.flags[REPORTED]
-    parts.flags[REPORTED] = parts.parser[INVALID]
-    words[REPLY] = REPLY_DAMAGED if damaged > 0 else REPLY_NONE
+    damaged = parts.parser[packets.INVALID] - parts.flags[REPORTED]
+    parts.flags[REPORTED] = parts.parser[packets.INVALID]
+    words[REPLY] = machine.REPLY_DAMAGED if damaged > 0 else machine.REPLY_NONE
     if replies > 0:
-        words[IS_HOMED] = 1 if parts.parser[HOMED] == ALL_HOMED else 0
-        words[PRESSED] = parts.parser[BUTTONS]
+        words[HOMED] = 1 if parts.parser[packets.HOMED] == packets.ALL_HOMED else 0
+        words[PRESSED] = parts.parser[packets.BUTTONS]
         for i in range(3):
-            counts[i] = parts.parser[ENCODERS + i]
+            counts[i] = parts.parser[packets.ENCODERS + i]
         angles_of_counts(counts, parts.geometry, parts.angles)
         found = forward_kernel(parts.angles, parts.geometry, parts.grip) >= 0
         # before homing counts mean nothing
-        words[REPLY] = REPLY_VALID
-        if words[IS_HOMED] == 0:
+        words[REPLY] = machine.REPLY_VALID
+        if words[HOMED] == 0:
             parts.last[0] = NOWHERE
         elif not found or _alone(parts.since, parts.last, counts):
-            words[REPLY] = REPLY_APART
+            words[REPLY] = machine.REPLY_APART
         for i in range(3):
             position[i] = parts.grip[i]
     if parts.flags[LOST] != 0:
-        words[REPLY] = REPLY_LOST
+        words[REPLY] = machine.REPLY_LOST
     words[WITHOUT_ANSWER] = _unanswered(parts.flags, replies + damaged)
 
 
@@ -184,8 +163,9 @@ def _packet(parts: FalconParts, guard_memory: FloatArray, limits: FloatArray, fo
     """The command for a force at the grip's last position; homing mode stays, or homing is lost."""
     clamp, units = limits[MOTOR_CLAMP], parts.units_per_Nm
     if motor_units(force, parts.grip, parts.geometry, units, clamp, parts.motor, parts.left):
-        guard_memory[LAMPS] = float(int(guard_memory[LAMPS]) | CLIPPED)
-    encode_into(parts.motor, leds_of_state(int(guard_memory[STATE])), True, parts.outgoing)
+        guard_memory[machine.LAMPS] = float(int(guard_memory[machine.LAMPS]) | CLIPPED)
+    leds = packets.leds_of_state(int(guard_memory[machine.STATE]))
+    packets.encode_into(parts.motor, leds, True, parts.outgoing)
 
 
 @tick_kernel
@@ -201,7 +181,7 @@ def _sense_descriptor(
         if length <= 0:
             parts.flags[LOST] = 1
         for i in range(length):
-            replies += parse_byte(parts.parser, int(parts.incoming[i]))
+            replies += packets.parse_byte(parts.parser, int(parts.incoming[i]))
     elif (events & POLL_BROKEN) != 0:
         parts.flags[LOST] = 1
     _understand(parts, replies, position, counts, words)
@@ -216,7 +196,8 @@ def _command_descriptor(
     _packet(parts, guard_memory, limits, force)
     parts.flags[UNANSWERED] += 1
     events = ready(io.descriptor, POLL_OUT, parts.word)
-    if (events & POLL_OUT) != 0 and _write(io.descriptor, parts.outgoing.ctypes.data, PACKET_BYTES) < 0:
+    where, size = parts.outgoing.ctypes.data, packets.PACKET_BYTES
+    if (events & POLL_OUT) != 0 and _write(io.descriptor, where, size) < 0:
         parts.flags[LOST] = 1
 
 
@@ -232,7 +213,7 @@ def _sense_usb(io: UsbIO, dt: float, position: FloatArray, counts: IntArray, wor
         parts.flags[LOST] = 1
     for i in range(parts.word[0] & 0xFFFFFFFF):
         if i % USB_PACKET_BYTES >= STATUS_BYTES:
-            replies += parse_byte(parts.parser, int(parts.incoming[i]))
+            replies += packets.parse_byte(parts.parser, int(parts.incoming[i]))
     _understand(parts, replies, position, counts, words)
 
 
@@ -242,10 +223,8 @@ def _command_usb(io: UsbIO, guard_memory: FloatArray, limits: FloatArray, force:
     parts = io.parts
     _packet(parts, guard_memory, limits, force)
     parts.flags[UNANSWERED] += 1
-    where, length_at = parts.outgoing.ctypes.data, parts.word.ctypes.data
-    result = _bulk_transfer(
-        io.address, (io.handle, io.bulk_out, where, PACKET_BYTES, length_at, io.timeout_ms)
-    )
+    where, size, length_at = parts.outgoing.ctypes.data, packets.PACKET_BYTES, parts.word.ctypes.data
+    result = _bulk_transfer(io.address, (io.handle, io.bulk_out, where, size, length_at, io.timeout_ms))
     if result not in (0, ERROR_TIMEOUT):
         parts.flags[LOST] = 1
 

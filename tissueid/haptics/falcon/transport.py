@@ -59,7 +59,12 @@ class FileTransport:
         self._is_terminal = os.isatty(descriptor)
         os.set_blocking(descriptor, False)
         if self._is_terminal:
-            self._make_raw()
+            # every byte passes as it is: no echo, no line editing, no flow control by bytes
+            settings = termios.tcgetattr(descriptor)
+            settings[0] = settings[1] = settings[3] = 0
+            settings[2] = termios.CS8 | termios.CREAD | termios.CLOCAL
+            settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
+            termios.tcsetattr(descriptor, termios.TCSANOW, settings)
 
     @classmethod
     def open(cls, path: str) -> FileTransport:
@@ -166,14 +171,6 @@ class FileTransport:
         with contextlib.suppress(OSError):
             request = termios.TIOCMBIS if on else termios.TIOCMBIC
             fcntl.ioctl(self._descriptor, request, struct.pack("I", line))
-
-    def _make_raw(self) -> None:
-        """Every byte passes as it is: no echo, no line editing, no flow control by bytes."""
-        settings = termios.tcgetattr(self._descriptor)
-        settings[0] = settings[1] = settings[3] = 0
-        settings[2] = termios.CS8 | termios.CREAD | termios.CLOCAL
-        settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
-        termios.tcsetattr(self._descriptor, termios.TCSANOW, settings)
 
     def _lost(self, error: OSError | ValueError) -> DeviceError:
         if isinstance(error, OSError) and error.errno not in GONE:
@@ -286,7 +283,10 @@ class LibUsb:
             raise DeviceError(self._refusal(code, where))
         transport = UsbTransport(self, handle, where)
         try:
-            transport.prepare()
+            transport.purge()
+            transport.set_latency(LATENCY_RUN_MS)
+            transport.set_baud(BAUD_RUN)
+            transport.purge()
         except DeviceError:
             transport.close()
             raise
@@ -305,30 +305,21 @@ class LibUsb:
     @contextmanager
     def _devices(self) -> Iterator[list[tuple[str, c_void_p]]]:
         """Nodes of Falcons, which need the permission, and libusb's pointers, which hold inside the block."""
-        devices = POINTER(c_void_p)()
+        devices, descriptor = POINTER(c_void_p)(), ctypes.create_string_buffer(DESCRIPTOR_BYTES)
+        bus, address = self.library.libusb_get_bus_number, self.library.libusb_get_device_address
         count = self.library.libusb_get_device_list(self._context, byref(devices))
         if count < 0:
             msg = f"libusb can't list the devices ({self.error_name(count)}); is /dev/bus/usb there?"
             raise DeviceError(msg)
         try:
             yield [
-                (self._node(device), device)
+                (f"/dev/bus/usb/{bus(device):03d}/{address(device):03d}", device)
                 for device in map(c_void_p, devices[:count])
-                if self._is_falcon(device)
+                if self.library.libusb_get_device_descriptor(device, descriptor) == 0
+                and struct.unpack_from("HH", descriptor, VENDOR_AT) == (VENDOR, PRODUCT)
             ]
         finally:
             self.library.libusb_free_device_list(devices, 1)
-
-    def _is_falcon(self, device: c_void_p) -> bool:
-        descriptor = ctypes.create_string_buffer(DESCRIPTOR_BYTES)
-        if self.library.libusb_get_device_descriptor(device, descriptor) != 0:
-            return False
-        return struct.unpack_from("HH", descriptor, VENDOR_AT) == (VENDOR, PRODUCT)
-
-    def _node(self, device: c_void_p) -> str:
-        bus = self.library.libusb_get_bus_number(device)
-        address = self.library.libusb_get_device_address(device)
-        return f"/dev/bus/usb/{bus:03d}/{address:03d}"
 
     def _refusal(self, code: int, node: str) -> str:
         if code == ERROR_ACCESS:
@@ -357,13 +348,6 @@ class UsbTransport:
         """Name of its kind in the compiled loop; addresses of transfer and handle, its numbers."""
         transfer = ctypes.cast(self._usb.library.libusb_bulk_transfer, c_void_p).value or 0
         return "USB", [transfer, self._handle.value or 0, BULK_OUT, BULK_IN, TRANSFER_TIMEOUT_MS]
-
-    def prepare(self) -> None:
-        """The order in which a Falcon is opened: purge, latency 1 ms, 1.5 Mbaud, purge."""
-        self.purge()
-        self.set_latency(LATENCY_RUN_MS)
-        self.set_baud(BAUD_RUN)
-        self.purge()
 
     def write(self, data: bytes) -> None:
         """Send all bytes."""

@@ -101,22 +101,6 @@ class Sdk:
             msg = f"{function} failed: {self.last_error()}"
             raise DeviceError(msg)
 
-    def is_homed(self) -> bool:
-        """True where the device's position is known."""
-        status = (c_int * STATUS_ENTRIES)()
-        self.call("dhdGetStatus", status)
-        return bool(status[STATUS_RESET])
-
-    def position(self) -> FloatArray:
-        """Position in the SDK's frame [m], shape (3,)."""
-        place = [c_double() for _ in range(3)]
-        self.call("dhdGetPosition", *map(byref, place))
-        return np.array([coordinate.value for coordinate in place])
-
-    def address(self, function: str) -> int:
-        """Address of a function, for the compiled loop."""
-        return ctypes.cast(getattr(self.library, function), c_void_p).value or 0
-
     def last_error(self) -> str:
         """Words of the SDK on its last error."""
         return (self.library.dhdErrorGetLastStr() or b"unknown error").decode("utf-8", "replace")
@@ -229,7 +213,8 @@ class ForceDimensionDevice(HapticDevice):
         if self._sdk is None:
             return None
         asked = ("dhdGetPosition", "dhdSetForce", "dhdGetButtonMask")
-        handles = np.array([*map(self._sdk.address, asked), self._sdk.identity], np.int64)
+        addresses = [ctypes.cast(getattr(self._sdk.library, name), c_void_p).value or 0 for name in asked]
+        handles = np.array([*addresses, self._sdk.identity], np.int64)
         constants = np.concatenate([ROTATION.ravel(), ORIGIN_M])
         return CompiledIO("tissueid.haptics.forcedimension.servo_io:SDK", handles, constants)
 
@@ -252,12 +237,15 @@ class ForceDimensionDevice(HapticDevice):
 
     def _read(self) -> DeviceSample:
         sdk = self._opened()
+        place, status = [c_double() for _ in range(3)], (c_int * STATUS_ENTRIES)()
+        sdk.call("dhdGetPosition", *map(byref, place))
+        sdk.call("dhdGetStatus", status)
         return DeviceSample(
             time_s=time.monotonic(),
-            position_m=ROTATION @ sdk.position() + ORIGIN_M,
+            position_m=ROTATION @ [coordinate.value for coordinate in place] + ORIGIN_M,
             counts=np.zeros(3, np.int64),
             buttons=wire_buttons(int(sdk.library.dhdGetButtonMask(sdk.identity))),
-            homed=sdk.is_homed(),
+            homed=bool(status[STATUS_RESET]),
             valid=True,
         )
 

@@ -34,11 +34,16 @@ def measured(run: ControlRun) -> Measures:
     settings = run.settings
     over = min(LAST_S, 0.5 * settings.seconds)
     late = run.time_s >= run.time_s[-1] - over
-    error, speed = run.error_mm[late], run.velocity_error_mm_s[late]
+    error = run.error_mm[late]
+    speed = 1e3 * np.linalg.norm(run.tool_velocity_m_s - run.velocity_m_s, axis=1)[late]
     touching = run.position_m if settings.environment == "impedance" else run.tool_position_m
     depth = 1e3 * touching[:, 0] / settings.motion_scale
     control = np.linalg.norm(run.control_force_N, axis=1)
-    limit, excess = settings.gains.saturation_N, _excess(run)
+    limit = settings.gains.saturation_N
+    # by how much V rose after each row beyond (I-6) [W]
+    rho = np.sum(run.rho_m_s**2, axis=1)
+    allowed = (-settings.gains.damping_N_s_per_m * rho + run.sigma)[:-1]
+    excess = np.diff(run.lyapunov) / np.diff(run.time_s) - allowed
     return Measures(
         diverged_s=run.diverged_s,
         over_s=over,
@@ -57,14 +62,6 @@ def measured(run: ControlRun) -> Measures:
         violated_share=float(np.mean(excess > 0.0)) if excess.size else 0.0,
         violation_max_W=max(0.0, float(excess.max())) if excess.size else 0.0,
     )
-
-
-def _excess(run: ControlRun) -> np.ndarray:
-    """Excess over (I-6) by which V rose after each row [W], shape (rows - 1,)."""
-    slope = np.diff(run.lyapunov) / np.diff(run.time_s)
-    rho = np.sum(run.rho_m_s**2, axis=1)[:-1]
-    allowed = -run.settings.gains.damping_N_s_per_m * rho + run.sigma[:-1]
-    return np.asarray(slope - allowed)
 
 
 SCHEMA = "tissueid/control/1"

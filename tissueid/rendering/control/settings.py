@@ -279,29 +279,29 @@ MARGIN = 1.5
 HALVINGS = 60
 
 
-def turn_multiplier(settings: ControlSettings, virtual_mass_kg: float, *, estimate: float = 1.0) -> float:
+def turn_multiplier(settings: ControlSettings, virtual_mass_kg: float) -> float:
     """Factor by which one turn of the loop through the force sensor grows: below 1 it dies out.
 
-    A: Mh M^-1 M^ / Mt; B: Mh M^-1 (M^ / Mt - I); ``estimate``: estimated inertia M^ over the true one.
+    With true estimates; A: Mh M^-1 M / Mt; B: Mh M^-1 (Md / Mt - I).
     """
     device, hand = settings.device.mass_kg, settings.operator.mass_kg
     share = np.linalg.solve(device + hand, hand).T
     if settings.variant == "A":
-        turn = share @ (device + hand) * (estimate / virtual_mass_kg)
+        turn = share @ (device + hand) * (1.0 / virtual_mass_kg)
     else:
-        turn = share @ (estimate * device / virtual_mass_kg - np.eye(len(device)))
+        turn = share @ (device / virtual_mass_kg - np.eye(len(device)))
     return float(np.abs(np.linalg.eigvals(turn)).max())
 
 
-def virtual_mass_bound(settings: ControlSettings, *, estimate: float = 1.0) -> float:
+def virtual_mass_bound(settings: ControlSettings) -> float:
     """Virtual mass [kg] at which that factor is 1; 0 for a hand without mass."""
     device, hand = settings.device.mass_kg, settings.operator.mass_kg
     if not np.any(hand):
         return 0.0
-    low, high = 0.0, estimate * float(np.linalg.eigvalsh(device + hand)[-1])
+    low, high = 0.0, float(np.linalg.eigvalsh(device + hand)[-1])
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if turn_multiplier(settings, middle, estimate=estimate) < 1.0:
+        if turn_multiplier(settings, middle) < 1.0:
             high = middle
         else:
             low = middle

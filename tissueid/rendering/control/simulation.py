@@ -404,11 +404,6 @@ class ControlRun:
         """Length of x_e - x [mm], shape (rows,)."""
         return np.asarray(1e3 * np.linalg.norm(self.tool_position_m - self.position_m, axis=1))
 
-    @property
-    def velocity_error_mm_s(self) -> FloatArray:
-        """Length of the difference of the velocities [mm/s], shape (rows,)."""
-        return np.asarray(1e3 * np.linalg.norm(self.tool_velocity_m_s - self.velocity_m_s, axis=1))
-
 
 def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> LoopBlock:
     """Numbers of a loop whose tick takes ``period_s``."""
@@ -443,15 +438,6 @@ def tissue_law(settings: ControlSettings) -> FloatArray:
     return found.stiffer(settings.stiffness_scale).packed()
 
 
-def _drive(settings: ControlSettings) -> FloatArray:
-    """Push and disturbance, shape (DRIVE_ROWS, n)."""
-    drive = np.zeros((DRIVE_ROWS, settings.axes))
-    drive[:3] = astuple(settings.push or Signal.along(*TASKS["sustained"], axes=settings.axes))
-    if settings.disturbance is not None:
-        drive[3:] = astuple(settings.disturbance)
-    return drive
-
-
 def simulate(settings: ControlSettings) -> ControlRun:
     """Run a loop from rest at the surface of the tissue; UsageError where its numbers can't be run."""
     check_virtual_mass(settings)
@@ -459,26 +445,23 @@ def simulate(settings: ControlSettings) -> ControlRun:
     truth = settings.estimated_truth()
     start = 0.5 * truth if settings.start_estimates is None else settings.start_estimates
     start = np.array(start, dtype=np.float64)
-    rows = max(1, round(settings.seconds * settings.rate_Hz))
-    out = np.zeros((rows, 1 + VECTORS * settings.axes + SCALARS + truth.size))
-
+    ticks, axes = max(1, round(settings.seconds * settings.rate_Hz)), settings.axes
+    first = 1 + VECTORS * axes
+    out = np.zeros((ticks, first + SCALARS + truth.size))
+    drive = np.zeros((DRIVE_ROWS, axes))
+    drive[:3] = astuple(settings.push or Signal.along(*TASKS["sustained"], axes=axes))
+    if settings.disturbance is not None:
+        drive[3:] = astuple(settings.disturbance)
     block = loop_block(settings, period_s=1.0 / settings.rate_Hz, substeps=settings.tool_substeps())
     adaptation = settings.adaptation_gains(), settings.estimate_bounds()
-    loop = Loop(
-        block, tissue_law(settings), _drive(settings), device + operator, operator, truth, *adaptation
-    )
-    noise = np.zeros((rows, settings.axes))
+    loop = Loop(block, tissue_law(settings), drive, device + operator, operator, truth, *adaptation)
+    noise = np.zeros((ticks, axes))
     if settings.sensor_noise_N > 0.0:
         noise = np.random.default_rng(settings.seed).normal(0.0, settings.sensor_noise_N, noise.shape)
-    written = run_loop(loop, new_controller(settings.axes, start), noise, out)
-    return _as_run(settings, out[:written], complete=written == rows)
-
-
-def _as_run(settings: ControlSettings, rows: FloatArray, *, complete: bool) -> ControlRun:
-    """Name the columns; what a diverging loop wrote last may be no number."""
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    first = 1 + VECTORS * settings.axes
+    written = run_loop(loop, new_controller(axes, start), noise, out)
+    # a diverging loop may have written no number last
+    rows = out[:written][np.isfinite(out[:written]).all(axis=1)]
     vectors = np.split(rows[:, 1:first], VECTORS, axis=1)
     scalars, estimates = rows[:, first : first + SCALARS].T, rows[:, first + SCALARS :]
     columns = (rows[:, 0], *vectors, *scalars, estimates)
-    return ControlRun(settings, None if complete else float(rows[-1, 0]), *columns)
+    return ControlRun(settings, None if written == ticks else float(rows[-1, 0]), *columns)

@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import threading
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +19,22 @@ from tissueid.haptics.hand import PRESETS, Hand, preset, scripted_hand
 
 #: Surface that the hand of an emulator aims at [m]: the middle of the workspace, seen from the user.
 SURFACE_M = (0.0, 0.0, 0.130)
-INWARD = np.array([0.0, 0.0, -1.0])
+AIM: dict[str, Any] = {"surface_m": np.array(SURFACE_M), "inward": np.array([0.0, 0.0, -1.0])}
 #: Ends of a sweep along z [m], and the time from one to the other [s].
 SWEEP_M = (0.165, 0.110)
 SWEEP_S = 4.0
 SWEEPS = 56
 #: Real-time priority, below that of a servo.
 PRIORITY = 70
+#: Device travel over tissue depth.
+MOTION_SCALE = 5.0
+SWITCHES = {
+    "--no-firmware": "switched on without firmware, as a real one",
+    "--never-homes": "the emulated user does not home it",
+    "--sweep": "the hand goes in and out of the workspace",
+    "--free": "the hand lets go of the grip after homing",
+    "--until-eof": "end when standard input does",
+}
 
 
 def _arguments(given: list[str] | None) -> argparse.Namespace:
@@ -32,52 +42,29 @@ def _arguments(given: list[str] | None) -> argparse.Namespace:
         prog="python -m tissueid.haptics.falcon.emulator",
         description="A Falcon that is computed, on a pseudo-terminal. No real device has confirmed it.",
     )
-    parser.add_argument(
-        "--no-firmware", action="store_true", help="switched on without firmware, as a real one"
-    )
+    for name, what in SWITCHES.items():
+        parser.add_argument(name, action="store_true", help=what)
     parser.add_argument("--failing-tries", type=int, default=0, help="uploads that fail before one succeeds")
-    parser.add_argument("--never-homes", action="store_true", help="the emulated user does not home it")
     parser.add_argument("--hand", choices=PRESETS, help="what the hand does after homing")
-    parser.add_argument("--sweep", action="store_true", help="the hand goes in and out of the workspace")
-    parser.add_argument("--free", action="store_true", help="the hand lets go of the grip after homing")
-    parser.add_argument(
-        "--depth-mm", type=float, default=10.0, help="depth the hand aims at [mm of the device]"
-    )
-    parser.add_argument("--surface-mm", type=float, default=130.0, help="z of the surface it aims at [mm]")
+    parser.add_argument("--depth-mm", type=float, default=10.0, help="depth it aims at [mm of the device]")
     parser.add_argument("--script", help='carried like a machine: "indent 8 mm at 250 mm/min; hold 2 s"')
-    parser.add_argument("--motion-scale", type=float, default=5.0, help="device travel over tissue depth")
-    parser.add_argument(
-        "--fault",
-        action="append",
-        default=[],
-        metavar="KIND@SECONDS[:SIZE][/DURATION]",
-        help=f"one of: {', '.join(FAULT_KINDS)}",
-    )
-    parser.add_argument("--until-eof", action="store_true", help="end when standard input does")
+    parser.add_argument("--fault", action="append", default=[], help=f"one of: {', '.join(FAULT_KINDS)}")
     return parser.parse_args(given)
 
 
 def _hand(options: argparse.Namespace) -> Hand | None:
-    surface = np.array([*SURFACE_M[:2], options.surface_mm * 1e-3])
     if options.script is not None:
-        return scripted_hand(
-            options.script, motion_scale=options.motion_scale, surface_m=surface, inward=INWARD
-        )
+        return scripted_hand(options.script, motion_scale=MOTION_SCALE, **AIM)
     if options.hand is not None:
-        return preset(options.hand, surface_m=surface, inward=INWARD, depth_m=options.depth_mm * 1e-3)
+        return preset(options.hand, depth_m=options.depth_mm * 1e-3, **AIM)
     if options.free:
         return Hand((0.0, 1.0, 1.5), (PULLED_M, SURFACE_M, SURFACE_M), (1.0, 1.0, 0.0))
-    return _sweep() if options.sweep else None
-
-
-def _sweep() -> Hand:
-    """A hand that moves through the workspace along its axis, out of any tissue and into it, for minutes."""
-    turns = range(SWEEPS)
-    return Hand(
-        times_s=tuple(SWEEP_S * turn for turn in turns),
-        positions_m=tuple((0.0, 0.0, SWEEP_M[turn % 2]) for turn in turns),
-        grips=tuple(1.0 for _ in turns),
-    )
+    if options.sweep:
+        # along the axis of the workspace, out of any tissue and into it, for minutes
+        turns = range(SWEEPS)
+        places = tuple((0.0, 0.0, SWEEP_M[turn % 2]) for turn in turns)
+        return Hand(tuple(SWEEP_S * turn for turn in turns), places, (1.0,) * SWEEPS)
+    return None
 
 
 def main(given: list[str] | None = None) -> int:

@@ -21,6 +21,8 @@ class EmulatorDevice(FalconDevice):
 
     name = "emulator"
     refuses = ("port",)
+    #: None but what the driver assumes: the user's is of a real device.
+    own_calibration = staticmethod(Calibration)
 
     def __init__(
         self,
@@ -44,11 +46,6 @@ class EmulatorDevice(FalconDevice):
         found = super().configured(replace(asked, homing_timeout_s=None))
         # a hand on the grip would be measured with it
         return found | {"arguments": ("--free",)} if asked.hands_off else found
-
-    @classmethod
-    def _own_calibration(cls) -> Calibration:
-        """None but what the driver assumes: the user's is of a real device."""
-        return Calibration()
 
     def keeps(self, file: Path | None) -> bool:
         """Only in a file that was named."""

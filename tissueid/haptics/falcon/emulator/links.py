@@ -109,7 +109,8 @@ class EmulatedLink:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        self._end_thread()
+        self._close_ends()
 
     def step(self) -> None:
         """Answer what has arrived in the caller's own thread, in place of the link's; wait for nothing."""
@@ -123,11 +124,6 @@ class EmulatedLink:
         if self._thread.is_alive():
             self._thread.join()
 
-    def close(self) -> None:
-        """Stop serving and close both ends."""
-        self._end_thread()
-        self._close_ends()
-
 
 class EmulatorProcess:
     """An emulated Falcon in a process that ends with its owner; DeviceError, in its words, without one."""
@@ -139,9 +135,6 @@ class EmulatorProcess:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
         )
-        self.path = self._wait_for_path()
-
-    def _wait_for_path(self) -> str:
         out = self._process.stdout
         ready = out is not None and select.select([out], [], [], START_S)[0]
         line = out.readline().decode(errors="replace").strip() if ready and out is not None else ""
@@ -150,7 +143,7 @@ class EmulatorProcess:
             said = self._process.communicate()[1].decode(errors="replace").strip().splitlines()
             msg = f"the emulator did not start: {said[-1] if said else 'it said nothing'}"
             raise DeviceError(msg)
-        return line.removeprefix(READY_LINE)
+        self.path = line.removeprefix(READY_LINE)
 
     def close(self) -> None:
         """End the process."""

@@ -66,12 +66,6 @@ class CommandReader:
         return found
 
 
-def reply_bytes(encoders: tuple[int, int, int], *, buttons: int, homed: int) -> bytes:
-    """Packet the device answers with; counts wrap at 16 bits, ``homed`` has a bit for each leg."""
-    spelled = b"".join(SPELLING[(count + 32768) % 65536 - 32768] for count in encoders)
-    return b"<" + spelled + bytes([0x41 + (buttons & 15) + ((homed & 7) << 4)]) + b"A>"
-
-
 HELLO = bytes([0x0A, 0x43, 0x0D])
 GREETING = bytes([0x0A, 0x44, 0x2C, 0x0D])
 READY = b"A"
@@ -170,11 +164,6 @@ class ScriptedFault:
         if self.kind not in FAULT_KINDS:
             msg = f"there is no fault {printable(self.kind)!r}; faults are {', '.join(FAULT_KINDS)}"
             raise UsageError(msg)
-
-    @property
-    def once(self) -> bool:
-        """It spoils one answer and is over."""
-        return self.duration_s is None and self.kind in SINGLE
 
     def active(self, time_s: float) -> bool:
         """It is on at a time of the device's clock [s]."""
@@ -333,7 +322,7 @@ class EmulatedFalcon:
         self.commands = 0
         self.last_motors = (0, 0, 0)
         self.gone = False
-        self._boot = BootLoader(settings.failing_tries)
+        self.boot = BootLoader(settings.failing_tries)
         self._reader = CommandReader()
         self.parameters = with_homing(settings.hand, homes=settings.homes).write(Arm().block())
         self.memory = new_arm(np.array(START_M))
@@ -367,25 +356,15 @@ class EmulatedFalcon:
         """True position of the grip [m], shape (3,)."""
         return self.memory[POSITION : POSITION + 3].copy()
 
-    @property
-    def firmware_tries(self) -> int:
-        """Uploads that were begun."""
-        return self._boot.tries
-
-    @property
-    def homed_bits(self) -> int:
-        """Bit 0 for leg 1 and so on."""
-        return int(sum(1 << leg for leg in range(3) if self._homed[leg]))
-
     # --- the wire
     def set_baud(self, baud: int) -> None:
         """The host chose a baud rate; that of the running firmware ends an upload."""
-        self.running = self._boot.set_baud(baud) or self.running
+        self.running = self.boot.set_baud(baud) or self.running
 
     def receive(self, data: bytes) -> bytes:
         """Take bytes of the host; the answer, ``gone`` if unplugged, ``answer_delay_s`` if stalled."""
         if not self.running:
-            return self._boot.feed(data)
+            return self.boot.feed(data)
         return b"".join(self._obey(command) for command in self._reader.feed(data))
 
     def _obey(self, command: Command) -> bytes:
@@ -405,7 +384,8 @@ class EmulatedFalcon:
 
     def _answer(self) -> bytes:
         counts = self.counts()
-        homed = self.homed_bits if self._homing_mode else 0
+        # a bit for each leg
+        homed = int(self._homed @ (1, 2, 4)) if self._homing_mode else 0
         fault = self._fault()
         kind, size, at_s = ("", 0.0, 0.0) if fault is None else (fault.kind, fault.size, fault.at_s)
         self._stuck = (self._stuck or counts) if kind == "frozen" else None
@@ -418,7 +398,9 @@ class EmulatedFalcon:
             homed &= 0b101
         self.gone = self.gone or kind == "unplug"
         self.answer_delay_s = size * 1e-3 if kind == "stall" else 0.0
-        return self._spoilt(reply_bytes((first, second, third), buttons=HELD_BUTTON, homed=homed), kind)
+        # counts wrap at 16 bits
+        spelled = b"".join(SPELLING[(count + 32768) % 65536 - 32768] for count in (first, second, third))
+        return self._spoilt(b"<" + spelled + bytes([0x41 + HELD_BUTTON + (homed << 4)]) + b"A>", kind)
 
     @staticmethod
     def _spoilt(packet: bytes, kind: str) -> bytes:
@@ -439,7 +421,7 @@ class EmulatedFalcon:
         """The first scripted fault that is on; one that spoils a single answer is then used up."""
         for index, fault in enumerate(self.settings.faults):
             if not self._waiting and index not in self._spent and fault.active(self.time_s):
-                if fault.once:
+                if fault.duration_s is None and fault.kind in SINGLE:
                     self._spent.add(index)
                 return fault
         return None
@@ -480,10 +462,7 @@ class EmulatedFalcon:
             arm_step(self.memory, self.parameters, self.force_N, min(left, HELD_FORCE_S))
             leg_angles(place, LENGTHS, AZIMUTHS, self._angles)
             if self._homing_mode:
-                self._watch_homing()
-
-    def _watch_homing(self) -> None:
-        """A leg that was pulled out and is now pushed in knows its zero."""
-        true = (self._angles - ZERO_RAD) * COUNTS_PER_RAD
-        self._pulled |= true > OUT_COUNTS
-        self._homed |= self._pulled & (true < IN_COUNTS)
+                # a leg that was pulled out and is now pushed in knows its zero
+                true = (self._angles - ZERO_RAD) * COUNTS_PER_RAD
+                self._pulled |= true > OUT_COUNTS
+                self._homed |= self._pulled & (true < IN_COUNTS)
