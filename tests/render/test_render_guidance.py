@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from tissueid.rendering import environment as env
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull, guidance_block
+from tissueid.rendering.plan import _told_of
 
 #: A funnel nothing here comes near to.
 WIDE = Funnel(radius_m=0.5, offset_m=0.0, slope=0.01)
@@ -266,6 +267,13 @@ def profile(funnel: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.needs_jit
+@pytest.mark.parametrize(("kind", "said"), [("hyperboloid", "4 mm"), ("cone", "2.45 mm")])
+def test_the_radius_that_is_told_is_that_of_the_surface_at_the_entry(kind, said):
+    # a cone's is slope x (offset + the printed 1 mm): 0.35 x 7 mm
+    wall = _told_of(Guidance(funnel=Funnel(kind=kind)))[1]
+    assert f"{kind}, {said} in radius at the entry" in wall
+
+
 @pytest.mark.parametrize("funnel", [HYPER, PRINTED], ids=["hyperboloid", "cone"])
 def test_penetration_and_normal_are_those_of_the_nearest_point(funnel: np.ndarray) -> None:
     points = profile(funnel)

@@ -108,7 +108,7 @@ def _from_hyperboloid(
 
 
 def funnel_radius(funnel: FloatArray, z: FloatArray) -> FloatArray:
-    """Radius of the surface at heights from its throat or apex on [m], by its closed form."""
+    """Radius of the surface at heights above the entry point [m], by its closed form."""
     kind, a, b, c = funnel
     if int(kind) == CONE:
         return np.asarray(a * (z + PRINTED_ONE_M + b) / c)

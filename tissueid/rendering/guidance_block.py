@@ -31,8 +31,8 @@ class Funnel:
 
     #: {"hyperboloid", "cone"}: how the printed equation is read (:mod:`tissueid.rendering.guidance`).
     kind: Literal["hyperboloid", "cone"] = "hyperboloid"
-    #: Radius at the entry point [m], depth of throat or apex below it [m], growth of the radius with the
-    #: height.  The radius of a cone follows from the other two.
+    #: Radius at the entry point [m], depth of the throat below it [m] (the apex of a cone lies a printed 1 mm
+    #: deeper), growth of the radius with the height.  The radius of a cone follows from the other two.
     radius_m: float = 0.004
     offset_m: float = 0.006
     slope: float = 0.35

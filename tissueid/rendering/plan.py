@@ -17,6 +17,7 @@ from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.measure import MIDDLE_M
 from tissueid.haptics.registry import Choice, check_present, choose_device, device_class, environment_law
 from tissueid.haptics.sim import DEFAULT_QUANTUM_M, carried
+from tissueid.rendering.guidance import funnel_radius
 from tissueid.rendering.guidance_block import Guidance, check_guidance, guidance_block
 from tissueid.rendering.options import (
     Functional,
@@ -412,7 +413,8 @@ def _told_of(guidance: Guidance) -> tuple[str, ...]:
     stiffness = f"{pull.far_N_per_m:.3g} N/m far off, {pull.near_N_per_m:.3g} N/m at the entry"
     weight = float(np.linalg.norm(guidance.weight_N))
     carried = (f"weight     {weight:.2f} N carried at the entry, in contact too",) if weight > 0.0 else ()
-    width = f"{funnel.kind}, {1e3 * funnel.radius_m:g} mm in radius at the entry"
+    radius_mm = 1e3 * float(funnel_radius(funnel.numbers(), np.zeros(1))[0])
+    width = f"{funnel.kind}, {radius_mm:.3g} mm in radius at the entry"
     return (
         f"pull       {stiffness} over {1e3 * pull.reach_m:g} mm; {axial}",
         f"wall       {width}, {funnel.stiffness_N_per_m_n:.3g} N/m^{funnel.exponent:g}",
