@@ -33,14 +33,10 @@ def command(flags: _ConfigFlags) -> int:
     typed counts first, then TISSUEID_COMMAND_OPTION, then ./tissueid.toml (or [tool.tissueid] of
     ./pyproject.toml), then ~/.config/tissueid/config.toml. Both files are checked whole.
     """
-    from tissueid.cli.main import cli
+    from tissueid.cli.main import COMMANDS
 
     files = settings_files()
-    settings: dict[tuple[str, ...], Setting] = {}
-    for name in cli.list_commands(click.Context(cli)):
-        found = below(cli, (name,))
-        if found is not None:
-            settings |= settings_of(found, (name,), files, cli)
+    settings = {key: one for name in COMMANDS for key, one in settings_of(name, files).items()}
     rows = [
         {"command": " ".join(path), "option": key, "value": setting.value, "source": setting.source}
         for (*path, key), setting in settings.items()
@@ -181,18 +177,21 @@ def settable(command: click.Command) -> dict[str, click.Option]:
     return {option_name(one): one for one in options if option_name(one) not in TYPED_ONLY}
 
 
-def settings_of(
-    command: click.Command, name: tuple[str, ...], files: list[SettingsFile], root: click.Group
-) -> dict[tuple[str, ...], Setting]:
+def settings_of(name: str, files: list[SettingsFile] | None = None) -> dict[tuple[str, ...], Setting]:
     """Settings of a command and those below it, by path and key; the later of the files counts more."""
+    from tissueid.cli.main import cli
+
     found: dict[tuple[str, ...], Setting] = {}
-    leaves = [one for one in walk(command, name) if not isinstance(one[1], click.Group)]
-    for file in files:
-        _check_root(file, root)
+    command = cli.get_command(click.Context(cli), name)
+    if command is None:
+        return found
+    leaves = [one for one in walk(command, (name,)) if not isinstance(one[1], click.Group)]
+    for file in settings_files() if files is None else files:
+        _check_root(file)
         for path, leaf in leaves:
             for key in (key for key in GENERAL if key in file.table and key in settable(leaf)):
                 found[*path, key] = _from_file(file, (key,), settable(leaf)[key], file.table[key])
-        found |= _from_table(file, command, name, file.table.get(name[0], {}))
+        found |= _from_table(file, command, (name,), file.table.get(name, {}))
     for path, leaf in leaves:
         found |= _from_environment(path, leaf)
     return found
@@ -209,13 +208,14 @@ def as_default_map(settings: Mapping[tuple[str, ...], Setting]) -> dict[str, Any
     return tree
 
 
-def _check_root(file: SettingsFile, root: click.Group) -> None:
-    names = root.list_commands(click.Context(root))
+def _check_root(file: SettingsFile) -> None:
+    from tissueid.cli.main import COMMANDS
+
     for key, value in file.table.items():
         if key in GENERAL:
             continue
-        if key not in names:
-            refuse(_unknown(file, (key,), [*names, *GENERAL], "is no command and no general key"))
+        if key not in COMMANDS:
+            refuse(_unknown(file, (key,), [*COMMANDS, *GENERAL], "is no command and no general key"))
         if not isinstance(value, Mapping):
             refuse(f"{file.at(key)}: {key} is a command; its settings stand in a table [{key}]")
 
@@ -255,17 +255,17 @@ def _from_table(
 def _from_file(file: SettingsFile, key: tuple[str, ...], option: click.Option, value: Any) -> Setting:
     try:
         return Setting(str(option.name), _fitting(option, value), file.at(*key))
-    except ValueError as error:
-        refuse(f"{file.at(*key)}: {key[-1]} = {value!r}: {error}")
+    except click.BadParameter as error:
+        refuse(f"{file.at(*key)}: {key[-1]} = {value!r}: {error.message}")
 
 
 def _require(words: str, *, fits: bool) -> None:
     if not fits:
-        raise ValueError(words)
+        raise click.BadParameter(words)
 
 
 def _fitting(option: click.Option, value: Any) -> Any:
-    """A value of a file as the option takes it; ``ValueError`` with the reason where it does not fit."""
+    """A value of a file as the option takes it; BadParameter with the reason where it does not fit."""
     if option.count:
         _require("must be true, false or a number from 0", fits=isinstance(value, int) and value >= 0)
         return int(value)
@@ -289,16 +289,8 @@ def _one(option: click.Option, value: Any) -> Any:
         chosen = number and isinstance(kind, click.Choice)
         _require("must be text in quotes", fits=isinstance(value, str) or chosen)
         value = str(value)
-    _converted(option, value)
+    option.type.convert(value, option, None)
     return value
-
-
-def _converted(option: click.Option, value: Any) -> None:
-    """Refuse what the type of the option refuses."""
-    try:
-        option.type.convert(value, option, None)
-    except click.BadParameter as error:
-        raise ValueError(error.message) from error
 
 
 def _from_environment(path: tuple[str, ...], command: click.Command) -> dict[tuple[str, ...], Setting]:
@@ -319,8 +311,8 @@ def _from_environment(path: tuple[str, ...], command: click.Command) -> dict[tup
         option = options[names[variable]]
         try:
             found[*path, names[variable]] = Setting(str(option.name), _from_text(option, text), variable)
-        except ValueError as error:
-            refuse(f"environment variable {variable} = {text!r}: {error}")
+        except click.BadParameter as error:
+            refuse(f"environment variable {variable} = {text!r}: {error.message}")
     return found
 
 
@@ -333,9 +325,9 @@ def _from_text(option: click.Option, text: str) -> Any:
             told = bool(click.BOOL.convert(text, option, None))
         except click.BadParameter as error:
             msg = "must be 1 or 0"
-            raise ValueError(msg) from error
+            raise click.BadParameter(msg) from error
         return int(told) if option.count else told
     values = text.split(",") if option.multiple else [text]
     for value in values:
-        _converted(option, value)
+        option.type.convert(value, option, None)
     return values if option.multiple else text

@@ -22,7 +22,7 @@ from tissueid.cli.flags import (
 )
 from tissueid.cli.output import progress_bar, tell
 from tissueid.documents import typed
-from tissueid.documents.control import Control, Device, Run
+from tissueid.documents.control import Control, Run
 from tissueid.errors import NotIdentifiedError, refuse
 
 if TYPE_CHECKING:
@@ -135,31 +135,24 @@ def _tissue(flags: _ControlFlags) -> tuple[Tissue, str]:
 
 
 def _settings(flags: _ControlFlags, tissue: Tissue) -> ControlSettings:
-    from tissueid.rendering.control.settings import (
-        TABLE_3_DEVICE,
-        TABLE_3_OPERATOR,
-        ControlSettings,
-        Gains,
-        Mechanics,
-        VirtualTool,
-    )
+    from tissueid.rendering.control import settings as own
 
-    gains = Gains(
+    gains = own.Gains(
         damping_N_s_per_m=flags.kr,
         disturbance_bound_N=flags.bound,
-        adaptation=flags.gamma or Gains().adaptation,
+        adaptation=flags.gamma or own.Gains().adaptation,
         projection=not flags.no_projection,
         adaptation_sign=0 if flags.frozen else 1,
         saturation_N=math.inf if flags.saturation is None else flags.saturation,
     )
-    settings = ControlSettings(
+    settings = own.ControlSettings(
         tissue,
         stiffness_scale=flags.stiffness_scale,
         variant=flags.variant,
         environment=flags.environment,
-        device=Mechanics(*flags.interface) if flags.interface else TABLE_3_DEVICE,
-        operator=Mechanics(*flags.operator) if flags.operator else TABLE_3_OPERATOR,
-        tool=VirtualTool(flags.virtual_mass, flags.virtual_damping),
+        device=own.Mechanics(*flags.interface) if flags.interface else own.TABLE_3_DEVICE,
+        operator=own.Mechanics(*flags.operator) if flags.operator else own.TABLE_3_OPERATOR,
+        tool=own.VirtualTool(flags.virtual_mass, flags.virtual_damping),
         gains=gains,
         seconds=flags.seconds,
         rate_Hz=flags.rate,
@@ -196,7 +189,15 @@ def _lines(document: Control) -> list[str]:
         lines += _run_lines(run, tissue.depth_mm)
     if document.environment == "impedance":
         lines.append("an impedance-type loop leads by velocity alone: its error of position means nothing")
-    return lines + _device_lines(document.device)
+    device = document.device
+    if device is not None:
+        felt = f"{device.hand_less_tissue_rms_N:.3f} N rms of {device.environment_force_max_N:.3g} N"
+        lines += [
+            f"on sim    error {device.error_rms_mm:.3f} mm rms, {device.error_max_mm:.3f} at most",
+            f"{'':<10}hand less tissue {felt}; {device.clipped_share:.2%} shaped by the guard",
+            f"{'':<10}forces x {device.force_scale:.3g}, travel x {device.motion_scale:.3g}",
+        ]
+    return lines
 
 
 def _run_lines(run: Run, depth_mm: float) -> list[str]:
@@ -211,14 +212,3 @@ def _run_lines(run: Run, depth_mm: float) -> list[str]:
         share = f"{one.outside_share:.1%} of it"
         lines.append(f"{'':<10}{share} deeper than the {depth_mm:.3g} mm that were identified")
     return lines
-
-
-def _device_lines(device: Device | None) -> list[str]:
-    if device is None:
-        return []
-    felt = f"{device.hand_less_tissue_rms_N:.3f} N rms of {device.environment_force_max_N:.3g} N"
-    return [
-        f"on sim    error {device.error_rms_mm:.3f} mm rms, {device.error_max_mm:.3f} at most",
-        f"{'':<10}hand less tissue {felt}; {device.clipped_share:.2%} shaped by the guard",
-        f"{'':<10}forces x {device.force_scale:.3g}, travel x {device.motion_scale:.3g}",
-    ]

@@ -250,9 +250,7 @@ def _identify_options(flags: _FitFlags) -> IdentifyOptions:
     from tissueid.pipeline import DEFAULT_REQUIRED, IdentifyOptions
 
     required = tuple(name for name in flags.require if name != "none")
-    posterior = None
-    if flags.sampler != "none":
-        posterior = PosteriorOptions(flags.sampler, flags.draws, flags.seed)
+    sampled = PosteriorOptions(flags.sampler, flags.draws, flags.seed) if flags.sampler != "none" else None
     return IdentifyOptions(
         fit=FitOptions(
             model=flags.model or KELVIN_VOIGT,
@@ -267,7 +265,7 @@ def _identify_options(flags: _FitFlags) -> IdentifyOptions:
             poisson=flags.poisson,
         ),
         segment=segment_options(flags),
-        posterior=posterior,
+        posterior=sampled,
         required=required if flags.require else DEFAULT_REQUIRED,
         seed=flags.seed,
     )
@@ -318,20 +316,16 @@ def print_summary(found: Assembled, out: str, *, quiet: int, verbose: int) -> No
             quiet=quiet,
         )
     if not quiet:
-        _print(found, out, verbose=verbose)
+        if found.large:
+            echo(f"{found.fitted} of {found.jobs} specimens fitted")
+        elif found.fitted:
+            _print_specimens(load_identification(found.document).specimens, verbose=verbose)
+        for row in found.exclusions:
+            _print_exclusion(typed(row, Exclusion))
+        if found.fitted:
+            echo()
+            echo(f"Report: {out}/report.html")
     print_reasons(found, quiet=quiet)
-
-
-def _print(found: Assembled, out: str, *, verbose: int) -> None:
-    if found.large:
-        echo(f"{found.fitted} of {found.jobs} specimens fitted")
-    elif found.fitted:
-        _print_specimens(load_identification(found.document).specimens, verbose=verbose)
-    for row in found.exclusions:
-        _print_exclusion(typed(row, Exclusion))
-    if found.fitted:
-        echo()
-        echo(f"Report: {out}/report.html")
 
 
 def _print_specimens(specimens: Sequence[Specimen], *, verbose: int) -> None:

@@ -208,6 +208,13 @@ def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedVi
         bridge = UdpBridge(parse_address(flags.bridge), flags.bridge_token)
         if flags.bridge_token is None:
             note(f'bridge: requests must carry "token": "{bridge.token}"')
+
+    def watch(servo: ServoProcess) -> None:
+        if viewer is not None:
+            from tissueid.viewer.hello import show_session
+
+            show_session(viewer, plan, servo, flags.bundle)
+
     # last of all: what is refused after it would leave an empty log behind
     recorder = None if flags.log is None else Recorder(flags.log, plan.head)
     return Session(
@@ -219,16 +226,8 @@ def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedVi
         # a hand is needed: said however quiet
         tell=note,
         spawned=spawned,
-        watch=lambda servo: _show(viewer, plan, servo, flags.bundle),
+        watch=watch,
     )
-
-
-def _show(viewer: ServedViewer | None, plan: SessionPlan, servo: ServoProcess, bundle: Path | None) -> None:
-    """Show a servo on the viewer, where there is one."""
-    if viewer is not None:
-        from tissueid.viewer.hello import show_session
-
-        show_session(viewer, plan, servo, bundle)
 
 
 def _asked(flags: RenderFlags) -> RenderOptions:

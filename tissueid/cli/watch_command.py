@@ -141,15 +141,13 @@ def _tell(happening: Happening, flags: _WatchFlags) -> None:
         note(happening.text, quiet=flags.quiet)
         return
     level = verdict.verdict.level
-    loud = flags.quiet < 1 or level in {"repeat", "refused"}
-    if happening.kind == "fitted" and not flags.as_json:
-        if loud:
-            _print_fit(verdict)
-        return
     if flags.as_json:
         echo_json_text(json.dumps(plain(verdict), ensure_ascii=False, allow_nan=False))
-    elif loud:
-        _print(verdict, flags, again=happening.kind == "replaced")
+    elif not flags.quiet or level in {"repeat", "refused"}:
+        if happening.kind == "fitted":
+            _print_fit(verdict)
+        else:
+            _print(verdict, flags, again=happening.kind == "replaced")
     if flags.bell and happening.kind != "fitted":
         draw("\a\a" if level in {"repeat", "refused"} else "\a")
 
