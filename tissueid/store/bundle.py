@@ -147,10 +147,7 @@ class Bundle(Shown):
 
     def parameter(self, name: str) -> Estimate:
         """Return the reported parameter of that name (``KeyError`` where there is none)."""
-        for estimate in self.parameters:
-            if estimate.name == name:
-                return estimate
-        raise KeyError(name)
+        return {estimate.name: estimate for estimate in self.parameters}[name]
 
     def as_json(self) -> dict[str, Any]:
         """Return the document of ``schemas/bundle.schema.json``."""
@@ -269,21 +266,9 @@ def put_bundle(file: Any, bundle: Bundle, *, where: str) -> None:
 
 
 def load_bundle(path: Path | str) -> Bundle:
-    """Read a bundle and refuse whatever could not have been written by :func:`write_bundle`.
+    """Read a bundle whose parameters, and every draw of them, make a passive model.
 
-    Parameters
-    ----------
-    path : Path or str
-
-    Returns
-    -------
-    Bundle
-        Whose parameters, and every draw of them, make a passive model.
-
-    Raises
-    ------
-    BundleError
-        Naming the file, what is wrong with it, and the way out.
+    Raises BundleError: it could not have been written by :func:`write_bundle`; with file, fault and way out.
     """
     path = Path(path)
     damaged = "it is damaged, incomplete or another kind of file: copy it again or run `tissueid fit` again"

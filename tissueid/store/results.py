@@ -84,17 +84,12 @@ def each_result(out: Path | str) -> Iterator[Result]:
     Raises BundleError: if there is no committed set or it is damaged.
     """
     run = _committed(Path(out))
-    if LISTED not in run.files:
-        yield from _of_merged(run)
+    if LISTED in run.files:
+        for one in read_listed(run.folder / LISTED):
+            if one.fitted:
+                record, own, posterior = load_specimen(Path(out) / SPECIMENS / one.file)
+                yield typed(record.fitted, Specimen), own, posterior
         return
-    for one in read_listed(run.folder / LISTED):
-        if one.fitted:
-            record, curves, posterior = load_specimen(Path(out) / SPECIMENS / one.file)
-            yield typed(record.fitted, Specimen), curves, posterior
-
-
-def _of_merged(run: CommittedRun) -> Iterator[Result]:
-    """The specimens of a set whose files are merged."""
     curves = load_curves(run.folder / CURVES)
     posteriors = {one.specimen: one for one in _posteriors(run)}
     for entry in load_identification(run.folder / IDENTIFICATION).specimens:
