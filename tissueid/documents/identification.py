@@ -49,13 +49,8 @@ class Estimate(Document, frozen=True):
         "if": {"properties": {"identified": {"const": False}}},
         "then": {
             "properties": {
-                "mean": {"type": "null"},
-                "sd": {"type": "null"},
-                "ci95": {"type": "null"},
-                "ci95_total": {"type": "null"},
-                "ess_bulk": {"type": "null"},
-                "ess_tail": {"type": "null"},
-                "r_hat": {"type": "null"},
+                key: {"type": "null"}
+                for key in ("mean", "sd", "ci95", "ci95_total", "ess_bulk", "ess_tail", "r_hat")
             }
         },
         "else": {"properties": {"value": {"type": "number"}}},
@@ -108,10 +103,7 @@ class TipGeometry(Document, frozen=True):
 
 
 class Validity(Document, frozen=True):
-    """Claim of the model: depths up to depth_mm.
-
-    Loading speeds between the slowest and fastest fitted, this tip.
-    """
+    """Claim of the model: depths up to depth_mm, loading speeds between the fitted ones, this tip."""
 
     depth_mm: NonNegative
     speeds_mm_s: tuple[float, float]
@@ -180,10 +172,7 @@ class Provenance(Document, frozen=True):
 
 
 class Nrmsd(Document, frozen=True):
-    """Root-mean-square deviation: over the range of the force, over its mean (fractions, not percent).
-
-    And in N.
-    """
+    """Root-mean-square deviation: over the range of the force and its mean (fractions), and in N."""
 
     range: NonNegative
     mean: NonNegative
@@ -240,10 +229,7 @@ class Optimisers(Document, frozen=True, forbid_unknown_fields=False):
 
 
 class Selection(Document, frozen=True, forbid_unknown_fields=False):
-    """One candidate model and its held-out score: log predictive density less that of the best.
-
-    Larger is better.
-    """
+    """A candidate model and its held-out score: log predictive density less the best's; larger is better."""
 
     RULES: ClassVar[JsonSchema] = {"additionalProperties": {"type": ["number", "string", "boolean", "null"]}}
 
@@ -310,8 +296,7 @@ class BudgetRow(Document, frozen=True, omit_defaults=False):
     """Share of one source in the uncertainty of one parameter."""
 
     parameter: Text
-    #: `total` and `cluster bootstrap` stand beside the sources
-    source: Source
+    source: Source  # `total` and `cluster bootstrap` stand beside the sources
     #: Standard deviation, in the unit of the parameter; null where it could not be worked out
     sd: NonNegative | None
     share: NonNegative | None  # Of the total variance; null for rows that are no part of the sum
@@ -352,8 +337,6 @@ class Specimen(Document, frozen=True):
     """Fit of one specimen."""
 
     specimen: Text
-    #: Quantities of displacement and force: mm and N, or normalised. Keys keep their names; every `unit` is
-    #: written in these
     units: Units
     model: Model
     parameters: tuple[Estimate, ...]  # None of the yardstick
@@ -366,7 +349,7 @@ class Specimen(Document, frozen=True):
     cycles: tuple[Cycle, ...]  # Load-unload loops of its trials
     quoted: Quoted | None
     unloading: Unloading | None  # null where only loading was fitted
-    optimisers: Optimisers  # Optima of Levenberg-Marquardt and variable projection, and their agreement
+    optimisers: Optimisers
     selection: tuple[Selection, ...]
     sampler: SamplerReport | None  # Sampling of the posterior; null where none was
     noise: NoiseFit | None  # Noise of the force in the posterior; null where none was sampled
@@ -456,10 +439,7 @@ class Exclusion(Document, frozen=True):
 
 
 class StudyRecord(Document, frozen=True):
-    """Rows that study.toml adds; everything is flat, so that a table can be joined on path and sheet.
-
-    And on specimen.
-    """
+    """Rows that study.toml adds, flat, so that a table can be joined on path, sheet and specimen."""
 
     path: str  # study.toml as it was named
     sha256: Sha256

@@ -103,10 +103,7 @@ class Verdict(Document, frozen=True):
 
 
 class Units(Document, frozen=True):
-    """Units of displacement and force: mm and N, or normalised.
-
-    Keys keep their names; every `unit` is written in these.
-    """
+    """Units of displacement and force: mm and N, or normalised; keys keep names, each `unit` is in these."""
 
     length: Literal["mm", "1"]  # 1 for a strain or stretch
     force: Literal["N", "MPa"]  # MPa for a stress
@@ -140,8 +137,6 @@ class Trial(OfSheet, frozen=True):
     measured: Measured  # Peaks, forces in the hold, loops, relaxation times and moduli, no model
     verdict: Verdict  # Keep it (good), stop and look, or push again (repeat), with one reason
     flags: tuple[Flag, ...]
-    #: Quantities of displacement and force: mm and N, or normalised. Keys keep their names; every `unit` is
-    #: written in these
     units: Units
 
 

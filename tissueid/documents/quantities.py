@@ -30,14 +30,10 @@ CycleKind = Literal["cycle", "ramp-retract", "ramp-hold-retract"]
 
 
 class Cycle(OfSheet, frozen=True):
-    """One load-unload loop, measured from its samples.
-
-    No model is involved but for viscosity_model_N_s_per_mm.
-    """
+    """One load-unload loop, measured from its samples, no model but for viscosity_model_N_s_per_mm."""
 
     number: PositiveCount
-    #: The area of a loop with a hold includes what relaxed in the hold
-    kind: CycleKind
+    kind: CycleKind  # The area of a loop with a hold includes what relaxed in the hold
     start_s: float
     peak_s: float
     end_s: float

@@ -130,7 +130,7 @@ def _sheet(sheet: Sheet) -> str:
     if len(sheet.rows) >= _MOST_ROWS:
         msg = f"{sheet.name}: {len(sheet.rows):,} rows are more than a sheet holds; write CSV instead"
         raise ValueError(msg)
-    rows = [_row(1, sheet.head, style=1), *(_row(k, row) for k, row in enumerate(sheet.rows, 2))]
+    rows = [_row(1, sheet.head, ' s="1"'), *(_row(k, row) for k, row in enumerate(sheet.rows, 2))]
     widths = "".join(
         f'<col min="{k}" max="{k}" width="{width}" customWidth="1"/>'
         for k, width in enumerate(_column_widths(sheet), 1)
@@ -151,12 +151,11 @@ def _column_widths(sheet: Sheet) -> list[int]:
     return [min(max(length + 1, _NARROWEST), _WIDEST) for length in longest]
 
 
-def _row(number: int, values: Iterable[Cell], *, style: int = 0) -> str:
+def _row(number: int, values: Iterable[Cell], style: str = "") -> str:
     return f'<row r="{number}">{"".join(_cell(value, style) for value in values)}</row>'
 
 
-def _cell(value: Cell, style: int) -> str:
-    own = f' s="{style}"' if style else ""
+def _cell(value: Cell, own: str) -> str:
     if isinstance(value, str):
         text = escape(_NOT_IN_XML.sub("", printable(value))[:_CELL_LENGTH])
         return f'<c t="inlineStr"{own}><is><t xml:space="preserve">{text}</t></is></c>'
