@@ -18,7 +18,7 @@ from tissueid.errors import EXIT_INTERRUPTED, TissueidError, was_interrupted
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-#: Group of the help -> its sub-commands -> what each does, from module ``tissueid.cli.<name>_command``;
+#: Group of the help -> its sub-commands -> what each does, from ``cli/<name>_command.py`` or by TOGETHER;
 #: VISION.md says which promise each group keeps.
 GROUPS = {
     "Everyday": {
@@ -60,6 +60,8 @@ GROUPS = {
     },
 }
 COMMANDS = {name: meaning for group in GROUPS.values() for name, meaning in group.items()}
+#: Module -> commands that stand in it together, each under its name.
+TOGETHER = {"folder": ("status", "validate", "migrate", "report"), "words": ("explain", "models", "doctor")}
 
 #: The matrices of a fit are small: threads of the linear algebra library make it ten times slower by
 #: waiting for each other.  Read when numpy is loaded, which is after this.
@@ -91,8 +93,9 @@ class LazyGroup(click.Group):
         del ctx
         if cmd_name not in COMMANDS:
             return None
-        module = cmd_name.replace("-", "_")
-        command: click.Command = import_module(f"tissueid.cli.{module}_command").command
+        module = next((one for one, names in TOGETHER.items() if cmd_name in names), None)
+        found = import_module(f"tissueid.cli.{module or cmd_name.replace('-', '_')}_command")
+        command: click.Command = getattr(found, "command" if module is None else cmd_name)
         return command
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
