@@ -179,7 +179,7 @@ def settable(command: click.Command) -> dict[str, click.Option]:
 
 def settings_of(name: str, files: list[SettingsFile] | None = None) -> dict[tuple[str, ...], Setting]:
     """Settings of a command and those below it, by path and key; the later of the files counts more."""
-    from tissueid.cli.main import cli
+    from tissueid.cli.main import COMMANDS, cli
 
     found: dict[tuple[str, ...], Setting] = {}
     command = cli.get_command(click.Context(cli), name)
@@ -187,7 +187,11 @@ def settings_of(name: str, files: list[SettingsFile] | None = None) -> dict[tupl
         return found
     leaves = [one for one in walk(command, (name,)) if not isinstance(one[1], click.Group)]
     for file in settings_files() if files is None else files:
-        _check_root(file)
+        for key, value in file.table.items():
+            if key not in {*COMMANDS, *GENERAL}:
+                refuse(_unknown(file, (key,), [*COMMANDS, *GENERAL], "is no command and no general key"))
+            if key in COMMANDS and not isinstance(value, Mapping):
+                refuse(f"{file.at(key)}: {key} is a command; its settings stand in a table [{key}]")
         for path, leaf in leaves:
             for key in (key for key in GENERAL if key in file.table and key in settable(leaf)):
                 found[*path, key] = _from_file(file, (key,), settable(leaf)[key], file.table[key])
@@ -206,18 +210,6 @@ def as_default_map(settings: Mapping[tuple[str, ...], Setting]) -> dict[str, Any
             place = place.setdefault(part, {})
         place[setting.parameter] = setting.value
     return tree
-
-
-def _check_root(file: SettingsFile) -> None:
-    from tissueid.cli.main import COMMANDS
-
-    for key, value in file.table.items():
-        if key in GENERAL:
-            continue
-        if key not in COMMANDS:
-            refuse(_unknown(file, (key,), [*COMMANDS, *GENERAL], "is no command and no general key"))
-        if not isinstance(value, Mapping):
-            refuse(f"{file.at(key)}: {key} is a command; its settings stand in a table [{key}]")
 
 
 def _unknown(file: SettingsFile, key: tuple[str, ...], names: list[str], words: str) -> str:

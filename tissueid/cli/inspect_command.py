@@ -203,7 +203,9 @@ def names_of(described: Sequence[Trial]) -> list[tuple[str, str]]:
     """Heading, empty but before the first of several sheets of a file, and name of every recording."""
     from tissueid.report.wording import whole_label
 
-    folder = _shared_folder(described)
+    folders = {os.path.dirname(one.path) for one in described}  # noqa: PTH120 -- paths as they were typed
+    apart = len(described) < 2 or "" in folders or len({Path(one).is_absolute() for one in folders}) > 1
+    folder = "" if apart else os.path.join(os.path.commonpath(folders), "")  # noqa: PTH118
     sheets = Counter(one.path for one in described)
     found = []
     for before, one in zip([None, *described], described, strict=False):
@@ -213,14 +215,6 @@ def names_of(described: Sequence[Trial]) -> list[tuple[str, str]]:
             first = before is None or before.path != one.path
             found.append((one.path.removeprefix(folder) * first, f"  {one.sheet}"))
     return found
-
-
-def _shared_folder(described: Sequence[Trial]) -> str:
-    """The folder of all recordings; empty for a single one."""
-    folders = {os.path.dirname(one.path) for one in described}  # noqa: PTH120 -- paths as they were typed
-    if len(described) < 2 or "" in folders or len({Path(one).is_absolute() for one in folders}) > 1:
-        return ""
-    return os.path.join(os.path.commonpath(folders), "")  # noqa: PTH118
 
 
 def recording_lines(one: Trial | Watch, name: str, *, alone: bool = True) -> list[str]:

@@ -274,9 +274,18 @@ def load_bundle(path: Path | str) -> Bundle:
     damaged = "it is damaged, incomplete or another kind of file: copy it again or run `tissueid fit` again"
     with open_file(path, "a bundle", damaged, "bundles into its output folder") as file:
         check_format(file, BUNDLE_FORMAT)
-        _check_header(path, file.attrs)
+        version, seal = file.attrs.get("schema_version"), file.attrs.get("content_sha256")
+        if version != BUNDLE_SCHEMA_VERSION:
+            newer = isinstance(version, np.integer | int) and version > BUNDLE_SCHEMA_VERSION
+            way = "install a newer tissueid" if newer else f"run `tissueid migrate {path}`"
+            reads = f"this tissueid reads version {BUNDLE_SCHEMA_VERSION}"
+            msg = f"{path}: schema version {version}, {reads}; {way}, or fit again"
+            raise BundleError(msg)
+        if seal is None:
+            none = "carries no content hash, so it was not written by tissueid"
+            msg = f"{path}: {none}; run `tissueid fit` again"
+            raise BundleError(msg)
         text, arrays = _read(file)
-        seal = file.attrs["content_sha256"]
     if seal != _content_hash(text, arrays):
         msg = f"{path}: changed since it was written (the content hash differs); run `tissueid fit` again"
         raise BundleError(msg)
@@ -316,19 +325,6 @@ def _read(file: Any) -> tuple[bytes, dict[str, FloatArray]]:
             raise ValueError(msg)
         arrays[name] = np.asarray(dataset[()])
     return text, arrays
-
-
-def _check_header(path: Path, attributes: Mapping[str, Any]) -> None:
-    version = attributes.get("schema_version")
-    if version != BUNDLE_SCHEMA_VERSION:
-        newer = isinstance(version, np.integer | int) and version > BUNDLE_SCHEMA_VERSION
-        way = "install a newer tissueid" if newer else f"run `tissueid migrate {path}`"
-        reads = f"this tissueid reads version {BUNDLE_SCHEMA_VERSION}"
-        msg = f"{path}: schema version {version}, {reads}; {way}, or fit again"
-        raise BundleError(msg)
-    if "content_sha256" not in attributes:
-        msg = f"{path}: carries no content hash, so it was not written by tissueid; run `tissueid fit` again"
-        raise BundleError(msg)
 
 
 def bundle_of_document(document: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Bundle:
