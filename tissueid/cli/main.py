@@ -61,7 +61,11 @@ GROUPS = {
 }
 COMMANDS = {name: meaning for group in GROUPS.values() for name, meaning in group.items()}
 #: Module -> commands that stand in it together, each under its name.
-TOGETHER = {"folder": ("status", "validate", "migrate", "report"), "words": ("explain", "models", "doctor")}
+TOGETHER = {
+    "folder": ("status", "validate", "migrate", "report"),
+    "words": ("explain", "models", "doctor"),
+    "calibrate": ("calibrate-frame",),
+}
 
 #: The matrices of a fit are small: threads of the linear algebra library make it ten times slower by
 #: waiting for each other.  Read when numpy is loaded, which is after this.
@@ -94,8 +98,8 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         module = next((one for one, names in TOGETHER.items() if cmd_name in names), None)
-        found = import_module(f"tissueid.cli.{module or cmd_name.replace('-', '_')}_command")
-        command: click.Command = getattr(found, "command" if module is None else cmd_name)
+        found = import_module(f"tissueid.cli.{module or cmd_name}_command")
+        command: click.Command = getattr(found, "command" if module is None else cmd_name.replace("-", "_"))
         return command
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:

@@ -1,8 +1,7 @@
 """The JSON Schemas: where they are found, and the one check every document goes through.
 
-The schemas are the source of truth for what ``--json`` prints and for what is stored.  They live in
-``schemas/`` of the repository and travel in the wheel as ``tissueid/schemas``; an editable install has
-no copy in the package, so the checkout beside it is asked second.
+They live in ``schemas/`` of the repository and travel in the wheel as ``tissueid/schemas``; an editable
+install has no copy in the package, so the checkout beside it is asked second.
 """
 
 from __future__ import annotations
