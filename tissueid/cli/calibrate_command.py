@@ -158,7 +158,6 @@ def _lines(check: TissueCheck, protocol: Protocol, verdict: Verdict, out: str) -
 
 
 _Progress = Callable[[str, int, int], None]
-_BUNDLE_SUFFIXES = (".h5", ".hdf5")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,14 +173,18 @@ class Found:
 
 def found_source(flags: _CalibrateFlags, progress: _Progress) -> Found:
     """Look at the source the user named."""
-    from tissueid.synth import RECIPES
+    from tissueid.selfcheck.protocol import of_recipe
+    from tissueid.synth import RECIPES, load_recipe, recipe
 
     named: str = flags.source
-    recipe = named in RECIPES or _is_recipe(Path(named))
-    if flags.model is not None and (recipe or bundle_file(Path(named)) is not None):
+    is_recipe = named in RECIPES or _is_recipe(Path(named))
+    if flags.model is not None and (is_recipe or bundle_file(Path(named)) is not None):
         refuse("--model is for recordings: a recipe and a bundle have a law of their own")
-    if recipe:
-        return _recipe(named, flags)
+    if is_recipe:
+        if flags.rate is not None:
+            check_rate(flags.rate)
+        plan = recipe(named) if named in RECIPES else load_recipe(named)
+        return Found("recipe", plan.specimen, *of_recipe(plan, rate_Hz=flags.rate))
     if flags.rate is not None:
         refuse("--rate is for recipes: recordings and bundles have their own")
     if not Path(named).exists() and "::" not in named:
@@ -206,21 +209,10 @@ def _is_recipe(path: Path) -> bool:
     return "logs" in table and "schema" not in table
 
 
-def _recipe(named: str, flags: _CalibrateFlags) -> Found:
-    from tissueid.selfcheck.protocol import of_recipe
-    from tissueid.synth import RECIPES, load_recipe, recipe
-
-    if flags.rate is not None:
-        check_rate(flags.rate)
-    plan = recipe(named) if named in RECIPES else load_recipe(named)
-    protocol, centre = of_recipe(plan, rate_Hz=flags.rate)
-    return Found("recipe", plan.specimen, protocol, centre)
-
-
 def bundle_file(path: Path) -> Path | None:
     """The bundle a path means: itself, or the only one of an output folder."""
     if path.is_file():
-        return path if path.suffix in _BUNDLE_SUFFIXES else None
+        return path if path.suffix in {".h5", ".hdf5"} else None
     if not (path / "identification.json").is_file():
         return None
     only = path / "bundle.h5"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -45,10 +45,16 @@ def command(flags: _ConfigFlags) -> int:
         rows = _of_command(flags.name, rows)
     user = user_file()
     read = [str(file.path) for file in files]
-    head = [f"files read: {', '.join(read) or 'none'}"]
+    lines = [f"files read: {', '.join(read) or 'none'}"]
     if user is not None and str(user) not in read:
-        head.append(f"your own would be {user}")
-    tell(flags, {"files": read, "settings": rows}, [*head, *_lines(rows)])
+        lines.append(f"your own would be {user}")
+    width = max((len(f"{row['command']} --{row['option']}") for row in rows), default=0)
+    for row in rows:
+        value, name = "-" if row["value"] is None else row["value"], f"{row['command']} --{row['option']}"
+        lines.append(f"{name:<{width}}  {value!s:<14}  {row['source'] or 'default'}")
+    if not rows:
+        lines.append("nothing is set: every option has its default")
+    tell(flags, {"files": read, "settings": rows}, lines)
     return 0
 
 
@@ -68,16 +74,6 @@ def _of_command(name: tuple[str, ...], rows: list[dict[str, Any]]) -> list[dict[
         value = default if isinstance(default, str | int | float) else None
         every[key] = {"command": " ".join(name), "option": key, "value": value, "source": None}
     return list((every | told).values())
-
-
-def _lines(rows: list[dict[str, Any]]) -> Iterator[str]:
-    if not rows:
-        yield "nothing is set: every option has its default"
-        return
-    named = [f"{row['command']} --{row['option']}" for row in rows]
-    for name, row in zip(named, rows, strict=True):
-        value = "-" if row["value"] is None else str(row["value"])
-        yield f"{name:<{max(map(len, named))}}  {value:<14}  {row['source'] or 'default'}"
 
 
 #: Options that stand for a consent, a secret or a check that is left out: they are typed each time.

@@ -22,7 +22,7 @@ from tissueid.cli.flags import (
 )
 from tissueid.cli.output import progress_bar, tell
 from tissueid.documents import typed
-from tissueid.documents.control import Control, Run
+from tissueid.documents.control import Control
 from tissueid.errors import NotIdentifiedError, refuse
 
 if TYPE_CHECKING:
@@ -186,7 +186,16 @@ def _lines(document: Control) -> list[str]:
         f"{'':<10}{columns}  V' above its bound",
     ]
     for run in document.runs:
-        lines += _run_lines(run, tissue.depth_mm)
+        one = run.measures
+        errors = f"{one.error_rms_mm:>9.4f} mm{one.error_max_mm:>7.3f} mm"
+        forces = f"{one.environment_force_max_N:>7.4g} N{one.control_force_max_N:>7.4g} N"
+        violated = f"{one.violated_share:.2%}, at most {one.violation_max_W:.3g} W"
+        diverged = "" if one.diverged_s is None else f"; DIVERGED at {one.diverged_s:.3f} s"
+        speed = f"{one.velocity_error_rms_mm_s:>8.3f} mm/s"
+        lines.append(f"{run.name:<10}{errors}{speed}{forces}  {violated}{diverged}")
+        if one.outside_share > 0.0:
+            share = f"{one.outside_share:.1%} of it"
+            lines.append(f"{'':<10}{share} deeper than the {tissue.depth_mm:.3g} mm that were identified")
     if document.environment == "impedance":
         lines.append("an impedance-type loop leads by velocity alone: its error of position means nothing")
     device = document.device
@@ -197,18 +206,4 @@ def _lines(document: Control) -> list[str]:
             f"{'':<10}hand less tissue {felt}; {device.clipped_share:.2%} shaped by the guard",
             f"{'':<10}forces x {device.force_scale:.3g}, travel x {device.motion_scale:.3g}",
         ]
-    return lines
-
-
-def _run_lines(run: Run, depth_mm: float) -> list[str]:
-    one = run.measures
-    errors = f"{one.error_rms_mm:>9.4f} mm{one.error_max_mm:>7.3f} mm"
-    forces = f"{one.environment_force_max_N:>7.4g} N{one.control_force_max_N:>7.4g} N"
-    violated = f"{one.violated_share:.2%}, at most {one.violation_max_W:.3g} W"
-    diverged = "" if one.diverged_s is None else f"; DIVERGED at {one.diverged_s:.3f} s"
-    speed = f"{one.velocity_error_rms_mm_s:>8.3f} mm/s"
-    lines = [f"{run.name:<10}{errors}{speed}{forces}  {violated}{diverged}"]
-    if one.outside_share > 0.0:
-        share = f"{one.outside_share:.1%} of it"
-        lines.append(f"{'':<10}{share} deeper than the {depth_mm:.3g} mm that were identified")
     return lines

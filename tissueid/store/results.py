@@ -131,11 +131,14 @@ def output_problems(out: Path | str) -> list[str]:
         posteriors = _posteriors(run)
     except BundleError as error:
         return [error.message]
-    return [
-        *_specimen_problems(out, run),
-        *_bundle_problems(out, run, plain),
-        *_name_problems(document, curves, posteriors),
-    ]
+    problems = [*_specimen_problems(out, run), *_bundle_problems(out, run, plain)]
+    fitted = [(s.specimen, t.path, t.sheet) for s in document.specimens for t in s.trials]
+    if fitted != [(entry.specimen, entry.path, entry.sheet) for entry in curves]:
+        problems.append(f"{CURVES} and {IDENTIFICATION} name different trials")
+    sampled = [s.specimen for s in document.specimens if s.sampler is not None]
+    if sampled != [entry.specimen for entry in posteriors]:
+        problems.append(f"{POSTERIORS} and {IDENTIFICATION} name different sampled specimens")
+    return problems
 
 
 def _posteriors(run: CommittedRun) -> tuple[StoredPosterior, ...]:
@@ -228,14 +231,3 @@ def _bundle_problems(out: Path, run: CommittedRun, document: Mapping[str, Any]) 
         for key in ("model", "parameters", "validity", "sigma_N"):
             if bundle.as_json()[key] != entry[key]:
                 yield f"{name} and {IDENTIFICATION} differ in {key}"
-
-
-def _name_problems(
-    document: IdentificationDocument, curves: tuple[TrialCurve, ...], posteriors: tuple[StoredPosterior, ...]
-) -> Iterable[str]:
-    fitted = [(s.specimen, t.path, t.sheet) for s in document.specimens for t in s.trials]
-    if fitted != [(entry.specimen, entry.path, entry.sheet) for entry in curves]:
-        yield f"{CURVES} and {IDENTIFICATION} name different trials"
-    sampled = [s.specimen for s in document.specimens if s.sampler is not None]
-    if sampled != [entry.specimen for entry in posteriors]:
-        yield f"{POSTERIORS} and {IDENTIFICATION} name different sampled specimens"
