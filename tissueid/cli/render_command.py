@@ -242,10 +242,9 @@ def _asked(flags: RenderFlags) -> RenderOptions:
     # what is said on the command line comes before what the scene says
     said = {} if scene is None else {key: one for key, one in scene.tissue.items() if one is not None}
     said |= {key: value for key, value in asked.items() if value is not None}
-    alike: dict[str, Any] = {key: getattr(flags, key) for key in _ALIKE}
     return RenderOptions(
         **{"surface": "plane", **said},
-        **alike,
+        **{key: getattr(flags, key) for key in _ALIKE},
         scene=scene,
         device=flags.name,
         # the device itself is made where it is used, in the servo's process
@@ -392,30 +391,27 @@ def keyboard(*, switches: bool) -> Callable[[], Wish]:
 
 def status_line(plan: SessionPlan, *, quiet: bool) -> Callable[[Any, SessionSummary], None]:
     """One line that is written over and over, on a terminal only, unless it was written a moment ago."""
+    from tissueid.haptics.states import Lamp, State
+
     on, shown_s = not quiet and sys.stderr.isatty(), 0.0
 
     def show(record: Any, summary: SessionSummary) -> None:
         nonlocal shown_s
         now = time.monotonic()
-        if on and now - shown_s >= SHOW_EVERY_S:
-            shown_s = now
-            draw("\r\x1b[K" + status_text(record, summary, blind=plan.order is not None))
+        if not on or now - shown_s < SHOW_EVERY_S:
+            return
+        shown_s = now
+        which, tissue = "", f" (tissue {float(record['tissue_force_N']):.1f} N)"
+        if plan.order is not None:
+            which, tissue = f"presentation {int(record['label'])}  ", ""
+        force = float((record["force_N"] ** 2).sum() ** 0.5)
+        lamps = " ".join(str(lamp.name).lower().replace("_", " ") for lamp in Lamp(int(record["lamps"])))
+        draw(
+            f"\r\x1b[K{summary.seconds:7.1f} s  {State(int(record['state'])).name.lower():8} {which}"
+            f"depth {float(record['depth_mm']):6.2f} mm  force {force:5.2f} N{tissue}  {lamps}"
+        )
 
     return show
-
-
-def status_text(record: Any, summary: SessionSummary, *, blind: bool) -> str:
-    """A record in one line, for eyes and screen readers."""
-    from tissueid.haptics.states import Lamp, State
-
-    force = float((record["force_N"] ** 2).sum() ** 0.5)
-    lamps = " ".join(str(lamp.name).lower().replace("_", " ") for lamp in Lamp(int(record["lamps"])))
-    which = f"presentation {int(record['label'])}  " if blind else ""
-    tissue = "" if blind else f" (tissue {float(record['tissue_force_N']):.1f} N)"
-    return (
-        f"{summary.seconds:7.1f} s  {State(int(record['state'])).name.lower():8} {which}"
-        f"depth {float(record['depth_mm']):6.2f} mm  force {force:5.2f} N{tissue}  {lamps}"
-    )
 
 
 def summary_lines(outcome: Outcome) -> list[str]:
@@ -425,20 +421,18 @@ def summary_lines(outcome: Outcome) -> list[str]:
 
     summary = typed(plain(outcome.summary), Summary)
     period = summary.period_us
-    ended = (
-        f"{outcome.message}; {summary.seconds:.1f} s, {summary.ticks} ticks, "
-        f"{summary.skipped_ticks} skipped, {summary.lost_records} records lost"
+    ticks = f"{summary.ticks} ticks, {summary.skipped_ticks} skipped, {summary.lost_records} records lost"
+    felt = f"{summary.peak_device_force_N:.3g} N at the device, {summary.peak_tissue_force_N:.4g} N of tissue"
+    error = (
+        f"median {period.median:.0f}, p99 {period.p99:.0f}, p99.9 {period.p99_9:.0f}, max {period.max:.0f}"
     )
-    peak = (
-        f"{summary.peak_device_force_N:.3g} N at the device, {summary.peak_tissue_force_N:.4g} N of "
-        f"tissue, {summary.deepest_mm:.3g} mm deep; {1e3 * summary.energy_J:.3g} mJ taken from the hand"
-    )
-    timing = (
-        f"{summary.scheduling}; period error median {period.median:.0f}, p99 {period.p99:.0f}, "
-        f"p99.9 {period.p99_9:.0f}, max {period.max:.0f} us"
-        + ("; TIMING DEGRADED" if summary.timing_degraded else "")
-    )
-    text = [f"ended      {ended}", f"peak       {peak}", f"timing     {timing}"]
+    degraded = "; TIMING DEGRADED" if summary.timing_degraded else ""
+    taken = f"{1e3 * summary.energy_J:.3g} mJ taken from the hand"
+    text = [
+        f"ended      {outcome.message}; {summary.seconds:.1f} s, {ticks}",
+        f"peak       {felt}, {summary.deepest_mm:.3g} mm deep; {taken}",
+        f"timing     {summary.scheduling}; period error {error} us{degraded}",
+    ]
     lit = [
         f"{lamp.replace('_', ' ')} {100.0 * share:.2g} %"
         for lamp, share in summary.shares.items()
