@@ -13,13 +13,11 @@ from typing import Any
 import pytest
 from command_line import run, start
 
-from tissueid.cli.devices_command import HANDS
 from tissueid.documents import devices
 from tissueid.haptics.arm import Arm
 from tissueid.haptics.falcon.calibration import Calibration, load_calibration
 from tissueid.haptics.falcon.device import FalconDevice, limits_of
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
-from tissueid.haptics.hand import PRESETS
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.measure import ArmEstimate, Weighing
 from tissueid.haptics.registry import DEVICES, HARDWARE
@@ -231,10 +229,6 @@ def test_emulate_prints_a_path_that_a_driver_can_open():
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=30)
     assert process.returncode == 0
-
-
-def test_hands_of_the_emulator_are_those_offered():
-    assert HANDS == PRESETS
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from reference_pages import RESULTS, api_page
+from reference_pages import RESULTS
 
 import tissueid
 from tissueid.documents import plain, typed
@@ -106,10 +106,6 @@ def test_every_line_of_the_system_tests_names_one() -> None:
         assert (REPOSITORY / name).is_file(), line
         assert not node or name not in lines, f"{line}: its file is there already"
         assert not node or node in _nodes_of(name), line
-
-
-def test_the_page_of_python_is_that_of_the_program() -> None:
-    assert api_page() == PAGE, "run scripts/write-docs"
 
 
 def test_every_public_name_has_an_entry_and_every_entry_exists() -> None:
