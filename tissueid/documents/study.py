@@ -224,18 +224,6 @@ class OfChannels(Document, frozen=True):
     force: Text | None = None
 
 
-class Columns(OfChannels, frozen=True):
-    """Columns by name, or by number as "#2"."""
-
-
-class Units(OfChannels, frozen=True):
-    """Units in place of the file's."""
-
-
-class Axes(OfChannels, frozen=True):
-    """Content of channels that are not in mm or N, such as strain or stress."""
-
-
 class Override(Document, frozen=True):
     """Decisions of one recording, and the reason."""
 
@@ -254,9 +242,9 @@ class Override(Document, frozen=True):
     hold_from_s: float | None = None  # Begin of the hold nearest to it, as recorded [s]
     end_s: float | None = None  # Last time that counts, as recorded [s]
     rupture: bool | None = None  # false: no force drop of this recording is a rupture
-    columns: Columns | None = None  # Column of each quantity, by name or "#2"
-    units: Units | None = None  # Units in place of the file's
-    axes: Axes | None = None  # Content of a channel that is not mm or N, such as strain or stress
+    columns: OfChannels | None = None  # Column of each quantity, by name or "#2"
+    units: OfChannels | None = None  # Units in place of the file's
+    axes: OfChannels | None = None  # Content of a channel that is not mm or N, such as strain or stress
 
 
 class Exclude(Document, frozen=True):
