@@ -40,7 +40,7 @@ class _CompareFlags(ReadingFlags, OutputFlags):
     )
     output: str | None = option(
         "Folder for contrast.json and contrast.html; or NAME.json, and NAME.html is written beside it.",
-        "-o", type=PATH, metavar="PATH",
+        "-o", type=PATH,
     )
     # fmt: on
 

@@ -348,9 +348,7 @@ class _EmulateFlags(OutputFlags):
     never_homes: bool = option("The emulated user does not home it.")
     hand: str | None = option("What the hand does after homing.", type=click.Choice(HANDS))
     depth_mm: float = option("Depth the hand aims at.", default=10.0)
-    script: str | None = option(
-        'Carried like a machine: "indent 8 mm at 250 mm/min; hold 2 s".', metavar="TEXT"
-    )
+    script: str | None = option('Carried like a machine: "indent 8 mm at 250 mm/min; hold 2 s".')
     fault: tuple[str, ...] = option("Scripted fault, e.g. unplug@6 or jump@6:300.", metavar="KIND@S")
 
 

@@ -35,10 +35,9 @@ class _InspectFlags(ReadingFlags, OutputFlags):
     html: str | None = option(
         "Write a page that draws every recording, with its flags and the lines of study.toml to change it.",
         type=FILE,
-        metavar="FILE",
     )
-    csv: str | None = option("Write what was measured as a table, one row a hold.", type=FILE, metavar="FILE")
-    xlsx: str | None = option("The same table as a workbook.", type=FILE, metavar="FILE")
+    csv: str | None = option("Write what was measured as a table, one row a hold.", type=FILE)
+    xlsx: str | None = option("The same table as a workbook.", type=FILE)
     study: str | None = option(
         "Study file whose decisions are followed. [default: study.toml of the folder that is inspected]",
         type=PATH,

@@ -58,7 +58,7 @@ class RenderFlags(ViewerFlags):
     quantile: float | None = option("Feel the draw nearest this quantile of --of.", metavar="Q")
     of: str = option(
         "Which number the quantile, and the comparison of two tissues, is of.",
-        metavar="TEXT", default="force at 6 mm, 250 mm/min",
+        default="force at 6 mm, 250 mm/min",
     )
     against: Path | None = option(
         "A second tissue; Enter switches. With --twin, the recording whose travel is driven.",
@@ -72,14 +72,12 @@ class RenderFlags(ViewerFlags):
         "A scene.toml, or one that comes along: hip-resurfacing, meat, orbital-floor.",
         metavar="NAME|FILE", shell_complete=scenes,
     )
-    plan: Path | None = option(
-        "Axis and entry point to be guided to, instead of the scene's.", metavar="FILE"
-    )
+    plan: Path | None = option("Axis and entry point to be guided to, instead of the scene's.")
     # its scale and surface
     force_scale: float | None = option("Device force over tissue force.", metavar="S")
     motion_scale: float | None = option("Device travel over tissue depth. [default: 5]", metavar="S")
     surface: str | None = option(
-        "'plane', 'sphere R mm' or 'box X x Y x Z mm', in tissue units. [default: plane]", metavar="TEXT"
+        "'plane', 'sphere R mm' or 'box X x Y x Z mm', in tissue units. [default: plane]"
     )
     tip_radius: float | None = option(
         "Radius of the tool tip; another than identified is refused.", type=ABOVE_0, metavar="MM"
@@ -92,14 +90,14 @@ class RenderFlags(ViewerFlags):
     firmware: str | None = option("Firmware of a Falcon without any.", type=PATH, metavar="FILE")
     port: str | None = option("Serial port of a Falcon instead of USB.", metavar="PATH")
     calibration: str | None = option("Calibration of a Falcon.", type=PATH, metavar="FILE")
-    script: str | None = option("Strokes of the simulated grip, see docs/render.md.", metavar="TEXT")
+    script: str | None = option("Strokes of the simulated grip, see docs/render.md.")
     seconds: float | None = option("End after this time; else with Ctrl-C.", metavar="S")
     virtual: bool = option("Run a script as fast as it can be computed.")
-    log: Path | None = option("Record the session to this HDF5 file.", metavar="FILE")
+    log: Path | None = option("Record the session to this HDF5 file.")
     replay: Path | None = option("Render the motion of a recorded session.", metavar="LOG")
     bridge: str | None = option("Send positions to PORT by UDP, hear parameters on the next.", metavar="PORT")
     bridge_token: str | None = option(
-        "What requests to the bridge must carry. [default: drawn, and printed]", metavar="TEXT"
+        "What requests to the bridge must carry. [default: drawn, and printed]"
     )
     viewer: bool = option("Show the session in a browser; a mouse leads --device sim.")
     selftest: bool = option("Measure the servo on this machine, and leave.")
@@ -116,7 +114,7 @@ class RenderFlags(ViewerFlags):
     blind: bool = option("Compare without telling which is felt.")
     presentations: int | None = option("How many, evenly shared. [default: 10]", metavar="N")
     pseudonym: str | None = option("Letters and a number; never a name.", metavar="P17")
-    key: Path | None = option("Where the answers go. [default: beside the log]", metavar="FILE")
+    key: Path | None = option("Where the answers go. [default: beside the log]")
     # fmt: on
 
 

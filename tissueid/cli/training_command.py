@@ -28,7 +28,7 @@ class _TrainingFlags(OutputFlags):
         "Height above the bone at which an attempt begins.", type=ABOVE_0, default=40.0, metavar="MM"
     )
     html: str | None = option(
-        "Write a page of attempts, their ways, and how practice changed them.", type=FILE, metavar="FILE"
+        "Write a page of attempts, their ways, and how practice changed them.", type=FILE
     )
 
 

@@ -28,8 +28,8 @@ class ViewerFlags(OutputFlags):
         default="127.0.0.1",
     )
     viewer_port: int | None = option("Of the viewer. [default: 8765, or a free one]", type=PORT, metavar="N")
-    certificate: Path | None = option("Serve the viewer by TLS ...", metavar="FILE")
-    certificate_key: Path | None = option("... with this key.", metavar="FILE")
+    certificate: Path | None = option("Serve the viewer by TLS ...")
+    certificate_key: Path | None = option("... with this key.")
 
 
 class _ViewFlags(ViewerFlags):
@@ -39,7 +39,7 @@ class _ViewFlags(ViewerFlags):
         type=FILE_THERE,
         metavar="RECORDING",
     )
-    token: str | None = option("Of the session elsewhere, as its terminal shows it.", metavar="TEXT")
+    token: str | None = option("Of the session elsewhere, as its terminal shows it.")
 
 
 @subcommand("view", "out.h5", "out/twin/felt.h5 --beside hold-8-1.csv", "192.0.2.7:8765 --token ABC")
