@@ -67,8 +67,7 @@ class Estimate(Document, frozen=True):
         ],
     }
 
-    #: Name of a parameter, as the model declares it: tissueid models lists them; viscosity_N_s_per_mm of a
-    #: branch is derived
+    #: As the model declares it: tissueid models lists them; viscosity_N_s_per_mm of a branch is derived
     name: Annotated[str, Meta(pattern="^(static|stiffness|relaxation|viscosity|damping)_[a-zA-Z0-9_]+$")]
     symbol: str
     unit: str
@@ -78,11 +77,9 @@ class Estimate(Document, frozen=True):
     #: Posterior mean, in the unit of the value; null without a posterior and where not identified
     mean: float | None
     sd: NonNegative | None  # Posterior standard deviation, in the unit of the value
-    #: Statistical 95 % interval [low, high], in the unit of the value: noise, scatter between logs, contact
-    #: points
+    #: Statistical 95 % interval, in the unit of the value: noise, scatter between logs, contact points
     ci95: tuple[float, float] | None
-    #: Total 95 % interval [low, high], in the unit of the value: the calibration of the machine as well; null
-    #: for normalised recordings
+    #: Total 95 % interval: the calibration of the machine as well; null for normalised recordings
     ci95_total: tuple[float, float] | None
     ess_bulk: NonNegative | None  # Effective draws in the bulk; null where it is not defined
     ess_tail: NonNegative | None  # Effective draws in the tails
@@ -359,8 +356,7 @@ class Specimen(Document, frozen=True):
     #: Checks of residuals for what the model and its noise can't make; null where it was not looked at
     misfit: MisfitAlarm | None
     flags: tuple[Flag, ...]
-    #: The relaxation time of the one-branch model with holds cut to T, T/2 and T/4; null where no hold
-    #: determines it
+    #: Of the one-branch model with holds cut to T, T/2 and T/4; null where no hold determines it
     relaxation_window: RelaxationWindow | None = None
     measured: tuple[Spread, ...] | None = None  # Measured, no model, with the spread between logs
     #: Unloading that was not fitted, as loading and holds predict it; null where no tool turned back
@@ -433,8 +429,7 @@ class Exclusion(Document, frozen=True):
     specimen: str | None
     because: str
     note: str | None
-    #: The specimen's parameters fitted again, same model, with this trial among its logs; null where the data
-    #: do not determine one
+    #: The specimen's parameters fitted again with this trial; null where the data do not determine one
     with_it: tuple[WithIt, ...]
 
 

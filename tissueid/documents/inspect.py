@@ -69,8 +69,7 @@ class Phase(Document, frozen=True):
     kind: Literal["approach", "ramp", "hold", "creep", "retract", "rest", "cycle"]
     start_s: float
     end_s: float
-    #: Speed of the line through 20 to 80 % of the travel, in the compression direction; of a cycle, mean
-    #: speed of its loading
+    #: Of the line through 20 to 80 % of the travel, in compression; of a cycle, mean speed of its loading
     speed_mm_s: float
     braking_s: float  # Time a ramp brakes before its stop
     peak_s: float | None  # Time of a cycle's deepest sample; null in other phases
