@@ -10,17 +10,23 @@ import shlex
 import click
 import pytest
 from command_line import REPOSITORY, python, run
-from reference_pages import examples_of, flags_page, options_page
+from reference_pages import api_page, examples_of, flags_page, options_page
 
 import tissueid
 from tissueid import doctor, errors
+from tissueid.cli.devices_command import HANDS
+from tissueid.cli.export_command import TABLES as FORMS
 from tissueid.cli.flags import walk
 from tissueid.cli.main import COMMANDS, GROUPS, cli, with_verb
+from tissueid.cli.rupture_command import ASKED as OFFERED
 from tissueid.explanations import EXIT_MEANINGS, explain, explanations
 from tissueid.flags import FLAGS
+from tissueid.haptics.hand import PRESETS
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.quantity_words import QUANTITIES
 from tissueid.rendering import first_start
+from tissueid.rupture.study import ASKED
+from tissueid.store.tidy import TABLES
 from tissueid.viewer import bundling
 
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
@@ -90,6 +96,10 @@ def test_an_example_can_be_typed_and_what_cannot_is_found(monkeypatch):
     assert [line for line in UNFIT if unfit(line) is None] == []
 
 
+def test_words_that_help_says_without_loading_the_code_are_those_of_the_code():
+    assert (PRESETS, ASKED, tuple(TABLES)) == (HANDS, OFFERED, FORMS)
+
+
 def test_every_option_has_words():
     silent = [
         f"{' '.join(name)} {option.opts[-1]}"
@@ -100,7 +110,9 @@ def test_every_option_has_words():
     assert silent == []
 
 
-@pytest.mark.parametrize(("page", "made"), [("options", options_page), ("flags", flags_page)])
+@pytest.mark.parametrize(
+    ("page", "made"), [("options", options_page), ("flags", flags_page), ("api", api_page)]
+)
 def test_a_page_is_that_of_the_program(page, made):
     written = (REPOSITORY / "docs" / f"{page}.md").read_text(encoding="utf-8")
     assert written == made(), "run scripts/write-docs"

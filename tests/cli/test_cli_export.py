@@ -276,10 +276,12 @@ def test_a_file_is_written_where_it_is_asked_for(out, printed, tmp_path):
 
 
 NO_ARVIZ = importlib.util.find_spec("arviz") is None
-needs_arviz = pytest.mark.skipif(NO_ARVIZ, reason="arviz is not installed: pip install 'tissueid[arviz]'")
 
 
-def _arviz() -> Any:
+@pytest.fixture
+def arviz():
+    if NO_ARVIZ:
+        pytest.skip("arviz is not installed: pip install 'tissueid[arviz]'")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)
         import arviz
@@ -348,10 +350,8 @@ def test_what_stands_in_the_way_of_draws_for_arviz_is_said(tmp_path, monkeypatch
         netcdf_bytes(unwritable)
 
 
-@needs_arviz
 @pytest.mark.filterwarnings("ignore::FutureWarning")
-def test_arviz_reads_the_draws_of_each_specimen(tmp_path):
-    arviz = _arviz()
+def test_arviz_reads_the_draws_of_each_specimen(arviz, tmp_path):
     fits = [sampled(specimen_fit(name, samples=60)) for name in ("kidney 3", "liver/left")]
     out = written(tmp_path / "out", *fits)
     run("export", out, "--format", "netcdf", "-o", tmp_path / "chains.nc", code=0)
@@ -368,10 +368,8 @@ def test_arviz_reads_the_draws_of_each_specimen(tmp_path):
         assert np.array_equal(walkers, stored.chain[:, :, 1])
 
 
-@needs_arviz
 @pytest.mark.filterwarnings("ignore::FutureWarning")
-def test_one_specimen_has_the_file_that_was_named(tmp_path):
-    arviz = _arviz()
+def test_one_specimen_has_the_file_that_was_named(arviz, tmp_path):
     out = written(tmp_path / "out", sampled(specimen_fit("kidney 3", samples=60)))
     run("export", out, "--format", "netcdf", "-o", tmp_path / "mine.nc", code=0)
     summary = arviz.summary(arviz.from_netcdf(str(tmp_path / "mine.nc"))["unconstrained_posterior"])

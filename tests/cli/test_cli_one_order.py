@@ -19,22 +19,22 @@ KV = "kelvin-voigt"
 PLAIN, TWO, BENT = LawOrder(KV, 1, 0), LawOrder(KV, 2, 0), LawOrder(KV, 2, 1)
 
 
-def test_the_simplest_order_within_one_standard_error_over_specimens_is_taken():
-    clear = [{PLAIN: -0.5 + k, TWO: 0.0} for k in (0.1, 0.0, -0.1, 0.05)]
-    assert agreed(clear) == TWO
-    # as much is gained in one specimen as is lost in another
-    assert agreed([{PLAIN: 0.0, TWO: gain} for gain in (0.3, -0.2, 0.25, -0.3)]) == PLAIN
-
-
-def test_an_order_that_is_not_resolved_predicts_as_what_it_contains():
-    # of the last specimen two branches are one
-    assert agreed([{PLAIN: -0.6, TWO: 0.0}] * 3 + [{PLAIN: 0.0}]) == TWO
-
-
-def test_an_order_that_few_were_tried_with_is_none_of_the_study():
-    tables = [{PLAIN: -0.6, TWO: 0.0}] * 4 + [{PLAIN: -0.9, TWO: -0.8, BENT: 0.0}]
-    assert agreed(tables) == TWO
-    assert agreed([{TWO: 0.0}, {LawOrder("power * fung", 1, 0): 0.0}]) is None
+@pytest.mark.parametrize(
+    ("tables", "taken"),
+    [
+        # the simplest within one standard error over specimens
+        ([{PLAIN: -0.5 + k, TWO: 0.0} for k in (0.1, 0.0, -0.1, 0.05)], TWO),
+        # as much is gained in one specimen as is lost in another
+        ([{PLAIN: 0.0, TWO: gain} for gain in (0.3, -0.2, 0.25, -0.3)], PLAIN),
+        # one that is not resolved predicts as what it contains: of the last specimen two branches are one
+        ([{PLAIN: -0.6, TWO: 0.0}] * 3 + [{PLAIN: 0.0}], TWO),
+        # one that few were tried with is none of the study
+        ([{PLAIN: -0.6, TWO: 0.0}] * 4 + [{PLAIN: -0.9, TWO: -0.8, BENT: 0.0}], TWO),
+        ([{TWO: 0.0}, {LawOrder("power * fung", 1, 0): 0.0}], None),
+    ],
+)
+def test_an_order_is_agreed_on(tables, taken):
+    assert agreed(tables) == taken
 
 
 def test_other_laws_are_weighed_where_one_of_them_may_be_taken():
@@ -89,9 +89,13 @@ def own(folder, tmp_path_factory):
     return out
 
 
-def test_specimens_of_a_study_are_fitted_with_one_order_and_the_other_one_says_so(folder, own, tmp_path):
-    out = tmp_path / "out"
-    shutil.copytree(own, out, symlinks=True)
+@pytest.fixture
+def out(own, tmp_path):
+    """A copy of its folder."""
+    return shutil.copytree(own, tmp_path / "out", symlinks=True)
+
+
+def test_specimens_of_a_study_are_fitted_with_one_order_and_the_other_one_says_so(folder, out):
     document = run("fit", folder, *ASKED, "-o", out).json()
     assert (orders(document), flagged(document)) == ([2, 2, 2], ["s2"])
     run("validate", out, code=0)
@@ -105,17 +109,11 @@ def test_specimens_of_a_study_are_fitted_with_one_order_and_the_other_one_says_s
     assert (orders(named), flagged(named)) == ([2, 2, 2], [])
 
 
-def test_files_that_are_no_study_keep_their_own_orders(folder, own, tmp_path):
-    out = tmp_path / "out"
-    shutil.copytree(own, out, symlinks=True)
+def test_files_that_are_no_study_keep_their_own_orders(folder, out):
     assert orders(run("fit", folder, *ASKED, "--no-study", "-o", out).json()) == [2, 2, 1]
 
 
-def test_a_specimen_that_the_order_of_its_study_can_not_be_fitted_to_keeps_its_own(
-    folder, own, tmp_path, monkeypatch
-):
-    out = tmp_path / "out"
-    shutil.copytree(own, out, symlinks=True)
+def test_a_specimen_that_the_order_of_its_study_can_not_be_fitted_to_keeps_its_own(folder, out, monkeypatch):
     monkeypatch.setattr("tissueid.study.specimen_job.Flag", Mock(side_effect=ArithmeticError))
     document = run("fit", folder, *ASKED, "-o", out).json()
     assert (orders(document), document["refused"]) == ([2, 2, 1], [])

@@ -213,10 +213,6 @@ def test_what_cannot_be_is_answered_with_the_way_out(bundle, tmp_path, code, arg
     assert list(tmp_path.iterdir()) == []
 
 
-def test_neither_bundle_nor_preset_is_refused():
-    run("render", "--device", "sim", code=2)
-
-
 def test_the_folder_of_a_fit_stands_for_its_bundle(bundle, tmp_path):
     felt = run("render", bundle.parent, *PRESSED, code=0)
     assert felt.stdout == run("render", bundle, *PRESSED, code=0).stdout
@@ -323,11 +319,12 @@ def recorded(folder: Path) -> Path:
         (("render", "--preset", "meat", "--viewer", "--virtual", "--device", "sim"), 2, "tissueid view FILE"),
         (("render", "--preset", "meat", "--viewer", "--host", "203.0.113.9"), 2, "--host"),
         (("render", "--viewer", "--certificate", "c.pem"), 2, "TLS needs two files"),
+        (("render", "--device", "sim"), 2, ()),
         (("view", "no-such.h5"), 6, "no-such.h5"),
         (("view", "127.0.0.1:1"), 2, "nothing answers"),
     ],
 )
-def test_what_cannot_be_shown_is_refused(args, code, said):
+def test_what_cannot_be_shown_or_felt_is_refused(args, code, said):
     run(*args, code=code, said=said)
 
 

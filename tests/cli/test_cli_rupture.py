@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 from command_line import REPOSITORY, read_json, run, write_csv, write_study
 
-from tissueid.cli.rupture_command import ASKED as OFFERED
 from tissueid.haptics.states import Lamp
 from tissueid.model.base import ContactPath
 from tissueid.model.grammar import parsed
 from tissueid.model.rupture import rupture_measures
-from tissueid.rupture.study import ASKED
 from tissueid.store.bundle import load_bundle
 from tissueid.store.session_log import read_session_log
 
@@ -30,10 +28,6 @@ def done(tmp_path_factory):
     write_study(folder, '[[exclude]]\nfile = "rupture-02-rupture-0600-1.csv"\nbecause = "the tool slipped"')
     out = tmp_path_factory.mktemp("out") / "rupture"
     return run("rupture", folder, "-o", out, "--criterion", "work", "--json", code=0), out
-
-
-def test_criteria_on_the_command_line_are_those_of_the_code():
-    assert OFFERED == ASKED
 
 
 def test_it_prints_rupture_json_and_it_is_valid(done):

@@ -1,20 +1,25 @@
-"""The repository keeps its own rules: nothing here looks at a number."""
+"""The repository keeps its own rules, and docs/api.md names what is public, as it is called."""
 
 from __future__ import annotations
 
 import ast
 import re
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+from reference_pages import RESULTS
 
+import tissueid
 from tissueid.documents import plain, typed
 from tissueid.flags import Flag
+from tissueid.notebook import Shown
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 BANNED_NAMES = {"utils", "helpers", "manager", "process", "data2"}
 MAX_MODULE_LINES = 600
+PAGE = (REPOSITORY / "docs" / "api.md").read_text(encoding="utf-8")
 
 
 def _python_files() -> list[Path]:
@@ -53,14 +58,12 @@ def test_modules_that_the_map_names_are_there() -> None:
 
 
 def test_every_public_list_names_what_the_module_has() -> None:
-    import importlib
-
     for path in _python_files():
         if path.name == "__main__.py":
             continue
         parts = path.relative_to(REPOSITORY).with_suffix("").parts
         name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-        module = importlib.import_module(name)
+        module = import_module(name)
         for public in getattr(module, "__all__", ()):
             assert hasattr(module, public), f"{name}.{public}"
 
@@ -103,3 +106,41 @@ def test_every_line_of_the_system_tests_names_one() -> None:
         assert (REPOSITORY / name).is_file(), line
         assert not node or name not in lines, f"{line}: its file is there already"
         assert not node or node in _nodes_of(name), line
+
+
+def test_every_public_name_has_an_entry_and_every_entry_exists() -> None:
+    entries = re.findall(r"^### `([\w.]+)`$", PAGE, flags=re.MULTILINE)
+    public = {f"tissueid.{name}" for name in tissueid.__all__ if not name.startswith("_")}
+    results = {f"{module}.{name}" for module, names in RESULTS.items() for name in names}
+    assert set(entries) == public | results
+    for entry in entries:
+        module, _, name = entry.rpartition(".")
+        assert hasattr(import_module(module), name), entry
+
+
+def test_every_entry_says_what_it_is() -> None:
+    for entry in re.split(r"^### ", PAGE, flags=re.MULTILINE)[1:]:
+        words = re.sub(r"^```\n.*?^```\n", "", entry, flags=re.MULTILINE | re.DOTALL).splitlines()
+        assert any(re.match(r"\w.{5,}", line) for line in words[1:]), words[0]
+
+
+def test_what_is_said_to_show_itself_does() -> None:
+    said = PAGE.partition("show themselves in notebooks")[0].rpartition("first use.")[2]
+    names = set(re.findall(r"`(\w+)`", said))
+    shown = {
+        name
+        for module, listed in RESULTS.items()
+        for name in listed
+        if issubclass(getattr(import_module(module), name), Shown)
+    }
+    assert names == shown
+
+
+@pytest.mark.needs_jit
+def test_the_example_of_the_page_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(REPOSITORY)
+    (block,) = re.findall(r"^```python\n(.*?)^```$", PAGE, flags=re.MULTILINE | re.DOTALL)
+    found: dict[str, object] = {}
+    exec(compile(block, "api.md", "exec"), found)
+    # truth: 63.62 N/mm times 0.021 s; at 100 Hz, and a clock that may be skewed, the time alone is not known
+    assert abs(found["fit"].parameter("viscosity_N_s_per_mm").value - 1.336) < 0.2  # type: ignore[attr-defined]

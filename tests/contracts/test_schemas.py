@@ -18,9 +18,12 @@ from tissueid.documents import plain
 from tissueid.documents.schemas import ROOTS, schema_of
 from tissueid.errors import BundleError
 from tissueid.flags import Flag
+from tissueid.inspection import describe_segmented
 from tissueid.result import Estimate, SpecimenFit
+from tissueid.segment import segment
 from tissueid.store import schema as schema_module
 from tissueid.store.schema import SCHEMA_NAMES, check, first_problem, load_schema, schema_folder
+from tissueid.trial import Source, Trial
 
 
 def document_of(fit: SpecimenFit, *, refused: bool = False) -> dict[str, Any]:
@@ -171,27 +174,10 @@ def test_a_flag_carries_numbers_beside_its_message() -> None:
 
 
 def inspected() -> dict[str, Any]:
-    point = {"time_s": 0.0, "displacement_mm": 0.0, "force_N": -0.1}
-    return {
-        "path": "a.csv", "sheet": None, "specimen": "a", "excluded": None, "recipe": "bluehill",
-        "recipe_reason": "names", "recipe_confidence": 0.9,
-        "encoding": "utf-8", "delimiter": ",", "decimal": ".",
-        "columns": {"time": "Time", "displacement": "Extension", "force": "Load"},
-        "units": {"length": "mm", "force": "N", "time": "s"},
-        "n_samples": 3, "first": point, "last": point, "peak_force": point, "compression_sign": -1,
-        "force_sign": 1, "force_noise_N": 0.1, "contact": None,
-        "phases": [
-            {
-                "kind": "hold", "start_s": 0.0, "end_s": 1.0, "speed_mm_s": 0.0, "braking_s": 0.0,
-                "peak_s": None,
-            }
-        ],
-        "corners": [], "events": [], "cycles": [], "flags": [],
-        "measured": {
-            "base": {"recorded_N": 0.0, "source": "recorded"}, "push": None, "holds": [], "loops": [],
-        },
-        "verdict": {"level": "good", "reason": None},
-    }  # fmt: skip
+    time = np.linspace(0.0, 4.0, 400)
+    trial = Trial("a", time, time, time, source=Source(path="a.csv"))
+    found: dict[str, Any] = plain(describe_segmented(trial, segment(trial)))
+    return found
 
 
 def test_inspect_lists_trials_and_refusals_and_nothing_between() -> None:

@@ -1,4 +1,4 @@
-"""``tissueid calibrate``, of a recipe, a study or recordings, or a bundle."""
+"""``tissueid calibrate``, of a recipe, a study or recordings, or a bundle; and ``calibrate-frame``."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import checked, made_folder, note, progress_bar, refuse_foreign, tell
-from tissueid.cli.reading import read_all, recorded_options
+from tissueid.cli.flags import FILE, FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import checked, made_folder, note, progress_bar, refuse_foreign, tell, write_output
+from tissueid.cli.reading import ReadingFlags, read_all, read_options, recorded_options
 from tissueid.cli.synth_command import check_rate
+from tissueid.documents.folder import Frame
 from tissueid.documents.selfcheck import SelfCheck
 from tissueid.errors import InputError, NotIdentifiedError, UsageError, refuse
 
@@ -157,7 +158,6 @@ def _lines(check: TissueCheck, protocol: Protocol, verdict: Verdict, out: str) -
 
 
 _Progress = Callable[[str, int, int], None]
-_BUNDLE_SUFFIXES = (".h5", ".hdf5")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,14 +173,18 @@ class Found:
 
 def found_source(flags: _CalibrateFlags, progress: _Progress) -> Found:
     """Look at the source the user named."""
-    from tissueid.synth import RECIPES
+    from tissueid.selfcheck.protocol import of_recipe
+    from tissueid.synth import RECIPES, load_recipe, recipe
 
     named: str = flags.source
-    recipe = named in RECIPES or _is_recipe(Path(named))
-    if flags.model is not None and (recipe or bundle_file(Path(named)) is not None):
+    is_recipe = named in RECIPES or _is_recipe(Path(named))
+    if flags.model is not None and (is_recipe or bundle_file(Path(named)) is not None):
         refuse("--model is for recordings: a recipe and a bundle have a law of their own")
-    if recipe:
-        return _recipe(named, flags)
+    if is_recipe:
+        if flags.rate is not None:
+            check_rate(flags.rate)
+        plan = recipe(named) if named in RECIPES else load_recipe(named)
+        return Found("recipe", plan.specimen, *of_recipe(plan, rate_Hz=flags.rate))
     if flags.rate is not None:
         refuse("--rate is for recipes: recordings and bundles have their own")
     if not Path(named).exists() and "::" not in named:
@@ -205,21 +209,10 @@ def _is_recipe(path: Path) -> bool:
     return "logs" in table and "schema" not in table
 
 
-def _recipe(named: str, flags: _CalibrateFlags) -> Found:
-    from tissueid.selfcheck.protocol import of_recipe
-    from tissueid.synth import RECIPES, load_recipe, recipe
-
-    if flags.rate is not None:
-        check_rate(flags.rate)
-    plan = recipe(named) if named in RECIPES else load_recipe(named)
-    protocol, centre = of_recipe(plan, rate_Hz=flags.rate)
-    return Found("recipe", plan.specimen, protocol, centre)
-
-
 def bundle_file(path: Path) -> Path | None:
     """The bundle a path means: itself, or the only one of an output folder."""
     if path.is_file():
-        return path if path.suffix in _BUNDLE_SUFFIXES else None
+        return path if path.suffix in {".h5", ".hdf5"} else None
     if not (path / "identification.json").is_file():
         return None
     only = path / "bundle.h5"
@@ -280,3 +273,40 @@ def _recordings(named: str, flags: _CalibrateFlags, progress: _Progress) -> Foun
     for one in refused:
         note(f"refused ({one.code})  {one}", quiet=flags.quiet)
     return Found("study", specimen, protocol, centre, None if study is None else study.priors)
+
+
+class _CalibrateFrameFlags(ReadingFlags, OutputFlags):
+    paths: tuple[str, ...] = argument(required=True, type=PATH)
+    output: str = option("Frame file to write.", "-o", type=FILE, default="frame.json")
+
+
+@subcommand("calibrate-frame", "rigid.csv", "rigid-1.csv rigid-2.csv -o lab_data/frame.json")
+def calibrate_frame(flags: _CalibrateFrameFlags) -> int:
+    """Measure how far machine, load cell and fixture give, from recordings of a rigid block.
+
+    Press the tip on steel, several times, to the largest force of the tests. Every loading counts; several
+    show how repeatable the frame is. fit takes the deflection off the displacement where study.toml names
+    the file, under [calibration]: frame = "frame.json".
+    """
+    from tissueid.store.files import json_bytes
+    from tissueid.study.calibrate_frame import calibrate_frame as measured_frame
+
+    trials = list(read_all(flags.paths, read_options(flags)))
+    written, document = checked(measured_frame(trials), "frame", Frame, where=flags.output)
+    write_output(flags.output, json_bytes(written))
+    tell(flags, written, _frame_lines(document))
+    note(f"wrote {flags.output}", quiet=flags.quiet)
+    return 0
+
+
+def _frame_lines(document: Frame) -> Iterator[str]:
+    from tissueid.report.wording import counted
+
+    top = document.range_N[1]
+    yield f"{counted(document.loadings, 'loading')} to {top:.4g} N"
+    yield f"stiffness above {top / 2:.3g} N: {document.stiffness_N_per_mm:.4g} N/mm"
+    yield "force [N]   deflection [mm]   sd [mm]"
+    for force, give, sd in zip(document.force_N, document.deflection_mm, document.sd_mm, strict=True):
+        yield f"{force:9.4g}   {give:15.5f}   {sd:7.5f}"
+    if document.repeatability_sd_mm is None:
+        yield "one loading: a repeatability of 5 % was assumed; record several to know it"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tissueid import __version__
 from tissueid.cli.flags import ABOVE_0, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import checked, echo_lines, made_folder, note, progress_bar, tell, write_output
+from tissueid.cli.output import checked, made_folder, note, progress_bar, tell, write_output
 from tissueid.cli.reading import ReadingFlags, read_all, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents import plain, typed
@@ -40,7 +40,7 @@ class _CompareFlags(ReadingFlags, OutputFlags):
     )
     output: str | None = option(
         "Folder for contrast.json and contrast.html; or NAME.json, and NAME.html is written beside it.",
-        "-o", type=PATH, metavar="PATH",
+        "-o", type=PATH,
     )
     # fmt: on
 
@@ -63,7 +63,10 @@ def command(flags: _CompareFlags) -> int:
     PATHS may be recordings or folders of them instead, each one side: what was measured stands beside each
     other, no model. A number that depends on the ramp is compared within one program only.
     """
-    if are_recordings(flags.paths):
+    raw = [path for path in flags.paths if not _is_fit(Path(path.partition("::")[0]))]
+    if raw and len(raw) < len(flags.paths):
+        refuse(f"{raw[0]} is a recording and others are fits: compare recordings, or fits")
+    if raw:
         return compare_recordings(flags)
     from tissueid.contrast.decision import contrast_document
     from tissueid.measured.spread import measured_pairs
@@ -80,8 +83,8 @@ def command(flags: _CompareFlags) -> int:
             found = contrast_document(tissues, clamp_N=flags.clamp, progress=progress)
     except UsageError:
         # models that share no speed can't be compared; what was measured at any time may
-        if not flags.as_json and not flags.quiet:
-            echo_lines(_measured_lines(typed(plain(measured), tuple[MeasuredPair, ...])))
+        if not flags.as_json:
+            tell(flags, None, _measured_lines(typed(plain(measured), tuple[MeasuredPair, ...])))
         raise
     whole = found | ({"measured": measured} if measured else {})
     written, document = checked(whole, "contrast", Contrast, where="contrast.json")
@@ -186,22 +189,10 @@ def _lines(document: Contrast) -> Iterator[str]:
             yield "  a hand would hardly tell: no difference exceeds a published just-noticeable one"
 
 
-#: Folders with one of these were written by a fit.
-_RESULT = "identification.json"
-
-
-def are_recordings(paths: Sequence[str]) -> bool:
-    """True where the paths are recordings, all of them."""
-    raw = [path for path in paths if not _is_fit(Path(path.partition("::")[0]))]
-    if raw and len(raw) < len(paths):
-        refuse(f"{raw[0]} is a recording and others are fits: compare recordings, or fits")
-    return bool(raw)
-
-
 def _is_fit(path: Path) -> bool:
     if path.suffix == ".h5" and not path.is_file():
         refuse(f"{path}: there is no such bundle")
-    return (path / _RESULT).is_file() if path.is_dir() else path.suffix == ".h5"
+    return (path / "identification.json").is_file() if path.is_dir() else path.suffix == ".h5"
 
 
 def compare_recordings(flags: _CompareFlags) -> int:

@@ -8,7 +8,7 @@ from importlib import import_module, resources
 from pathlib import Path
 
 import click
-from click.shell_completion import CompletionItem
+from click.shell_completion import CompletionItem, get_completion_class
 
 from tissueid.cli.flags import OutputFlags, argument, below, option, subcommand
 from tissueid.cli.output import echo_bytes, echo_json, made_folder, note, write_output
@@ -35,7 +35,13 @@ def command(flags: _CompletionFlags) -> int:
 
     Completes commands, options, choices, files, readers, recipes and the words that tissueid explain knows.
     """
-    script = _script(flags.shell)
+    from tissueid.cli.main import cli
+
+    kind = get_completion_class(flags.shell)
+    if kind is None:
+        refuse(f"click {click.__version__} knows no completion for {flags.shell}")
+    maker = kind(cli, {}, "tissueid", VARIABLE)
+    script = maker.source_template % maker.source_vars() + "\n"
     if not flags.install:
         if flags.as_json:
             echo_json({"shell": flags.shell, "script": script})
@@ -49,18 +55,6 @@ def command(flags: _CompletionFlags) -> int:
         echo_json({"shell": flags.shell, "path": str(target)})
     note(f"wrote {target}: {FOUND_BY[flags.shell].format(folder=target.parent)}", quiet=flags.quiet)
     return 0
-
-
-def _script(shell: str) -> str:
-    from click.shell_completion import get_completion_class
-
-    from tissueid.cli.main import cli
-
-    kind = get_completion_class(shell)
-    if kind is None:
-        refuse(f"click {click.__version__} knows no completion for {shell}")
-    maker = kind(cli, {}, "tissueid", VARIABLE)
-    return maker.source_template % maker.source_vars() + "\n"
 
 
 def _target(shell: str) -> Path:
@@ -103,8 +97,7 @@ def subcommands(context: click.Context, _parameter: click.Parameter, typed: str)
     found = below(cli, context.params.get("name") or ())
     if not isinstance(found, click.Group):
         return []
-    names = found.list_commands(click.Context(found))
-    return [CompletionItem(name) for name in names if name.startswith(typed)]
+    return named(lambda: found.list_commands(click.Context(found)))(context, _parameter, typed)
 
 
 def _of(module: str, table: str) -> Callable[[], Iterable[str]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -33,14 +33,10 @@ def command(flags: _ConfigFlags) -> int:
     typed counts first, then TISSUEID_COMMAND_OPTION, then ./tissueid.toml (or [tool.tissueid] of
     ./pyproject.toml), then ~/.config/tissueid/config.toml. Both files are checked whole.
     """
-    from tissueid.cli.main import cli
+    from tissueid.cli.main import COMMANDS
 
     files = settings_files()
-    settings: dict[tuple[str, ...], Setting] = {}
-    for name in cli.list_commands(click.Context(cli)):
-        found = below(cli, (name,))
-        if found is not None:
-            settings |= settings_of(found, (name,), files, cli)
+    settings = {key: one for name in COMMANDS for key, one in settings_of(name, files).items()}
     rows = [
         {"command": " ".join(path), "option": key, "value": setting.value, "source": setting.source}
         for (*path, key), setting in settings.items()
@@ -49,10 +45,16 @@ def command(flags: _ConfigFlags) -> int:
         rows = _of_command(flags.name, rows)
     user = user_file()
     read = [str(file.path) for file in files]
-    head = [f"files read: {', '.join(read) or 'none'}"]
+    lines = [f"files read: {', '.join(read) or 'none'}"]
     if user is not None and str(user) not in read:
-        head.append(f"your own would be {user}")
-    tell(flags, {"files": read, "settings": rows}, [*head, *_lines(rows)])
+        lines.append(f"your own would be {user}")
+    width = max((len(f"{row['command']} --{row['option']}") for row in rows), default=0)
+    for row in rows:
+        value, name = "-" if row["value"] is None else row["value"], f"{row['command']} --{row['option']}"
+        lines.append(f"{name:<{width}}  {value!s:<14}  {row['source'] or 'default'}")
+    if not rows:
+        lines.append("nothing is set: every option has its default")
+    tell(flags, {"files": read, "settings": rows}, lines)
     return 0
 
 
@@ -72,16 +74,6 @@ def _of_command(name: tuple[str, ...], rows: list[dict[str, Any]]) -> list[dict[
         value = default if isinstance(default, str | int | float) else None
         every[key] = {"command": " ".join(name), "option": key, "value": value, "source": None}
     return list((every | told).values())
-
-
-def _lines(rows: list[dict[str, Any]]) -> Iterator[str]:
-    if not rows:
-        yield "nothing is set: every option has its default"
-        return
-    named = [f"{row['command']} --{row['option']}" for row in rows]
-    for name, row in zip(named, rows, strict=True):
-        value = "-" if row["value"] is None else str(row["value"])
-        yield f"{name:<{max(map(len, named))}}  {value:<14}  {row['source'] or 'default'}"
 
 
 #: Options that stand for a consent, a secret or a check that is left out: they are typed each time.
@@ -181,18 +173,25 @@ def settable(command: click.Command) -> dict[str, click.Option]:
     return {option_name(one): one for one in options if option_name(one) not in TYPED_ONLY}
 
 
-def settings_of(
-    command: click.Command, name: tuple[str, ...], files: list[SettingsFile], root: click.Group
-) -> dict[tuple[str, ...], Setting]:
+def settings_of(name: str, files: list[SettingsFile] | None = None) -> dict[tuple[str, ...], Setting]:
     """Settings of a command and those below it, by path and key; the later of the files counts more."""
+    from tissueid.cli.main import COMMANDS, cli
+
     found: dict[tuple[str, ...], Setting] = {}
-    leaves = [one for one in walk(command, name) if not isinstance(one[1], click.Group)]
-    for file in files:
-        _check_root(file, root)
+    command = cli.get_command(click.Context(cli), name)
+    if command is None:
+        return found
+    leaves = [one for one in walk(command, (name,)) if not isinstance(one[1], click.Group)]
+    for file in settings_files() if files is None else files:
+        for key, value in file.table.items():
+            if key not in {*COMMANDS, *GENERAL}:
+                refuse(_unknown(file, (key,), [*COMMANDS, *GENERAL], "is no command and no general key"))
+            if key in COMMANDS and not isinstance(value, Mapping):
+                refuse(f"{file.at(key)}: {key} is a command; its settings stand in a table [{key}]")
         for path, leaf in leaves:
             for key in (key for key in GENERAL if key in file.table and key in settable(leaf)):
                 found[*path, key] = _from_file(file, (key,), settable(leaf)[key], file.table[key])
-        found |= _from_table(file, command, name, file.table.get(name[0], {}))
+        found |= _from_table(file, command, (name,), file.table.get(name, {}))
     for path, leaf in leaves:
         found |= _from_environment(path, leaf)
     return found
@@ -207,17 +206,6 @@ def as_default_map(settings: Mapping[tuple[str, ...], Setting]) -> dict[str, Any
             place = place.setdefault(part, {})
         place[setting.parameter] = setting.value
     return tree
-
-
-def _check_root(file: SettingsFile, root: click.Group) -> None:
-    names = root.list_commands(click.Context(root))
-    for key, value in file.table.items():
-        if key in GENERAL:
-            continue
-        if key not in names:
-            refuse(_unknown(file, (key,), [*names, *GENERAL], "is no command and no general key"))
-        if not isinstance(value, Mapping):
-            refuse(f"{file.at(key)}: {key} is a command; its settings stand in a table [{key}]")
 
 
 def _unknown(file: SettingsFile, key: tuple[str, ...], names: list[str], words: str) -> str:
@@ -255,17 +243,17 @@ def _from_table(
 def _from_file(file: SettingsFile, key: tuple[str, ...], option: click.Option, value: Any) -> Setting:
     try:
         return Setting(str(option.name), _fitting(option, value), file.at(*key))
-    except ValueError as error:
-        refuse(f"{file.at(*key)}: {key[-1]} = {value!r}: {error}")
+    except click.BadParameter as error:
+        refuse(f"{file.at(*key)}: {key[-1]} = {value!r}: {error.message}")
 
 
 def _require(words: str, *, fits: bool) -> None:
     if not fits:
-        raise ValueError(words)
+        raise click.BadParameter(words)
 
 
 def _fitting(option: click.Option, value: Any) -> Any:
-    """A value of a file as the option takes it; ``ValueError`` with the reason where it does not fit."""
+    """A value of a file as the option takes it; BadParameter with the reason where it does not fit."""
     if option.count:
         _require("must be true, false or a number from 0", fits=isinstance(value, int) and value >= 0)
         return int(value)
@@ -289,16 +277,8 @@ def _one(option: click.Option, value: Any) -> Any:
         chosen = number and isinstance(kind, click.Choice)
         _require("must be text in quotes", fits=isinstance(value, str) or chosen)
         value = str(value)
-    _converted(option, value)
+    option.type.convert(value, option, None)
     return value
-
-
-def _converted(option: click.Option, value: Any) -> None:
-    """Refuse what the type of the option refuses."""
-    try:
-        option.type.convert(value, option, None)
-    except click.BadParameter as error:
-        raise ValueError(error.message) from error
 
 
 def _from_environment(path: tuple[str, ...], command: click.Command) -> dict[tuple[str, ...], Setting]:
@@ -319,8 +299,8 @@ def _from_environment(path: tuple[str, ...], command: click.Command) -> dict[tup
         option = options[names[variable]]
         try:
             found[*path, names[variable]] = Setting(str(option.name), _from_text(option, text), variable)
-        except ValueError as error:
-            refuse(f"environment variable {variable} = {text!r}: {error}")
+        except click.BadParameter as error:
+            refuse(f"environment variable {variable} = {text!r}: {error.message}")
     return found
 
 
@@ -333,9 +313,9 @@ def _from_text(option: click.Option, text: str) -> Any:
             told = bool(click.BOOL.convert(text, option, None))
         except click.BadParameter as error:
             msg = "must be 1 or 0"
-            raise ValueError(msg) from error
+            raise click.BadParameter(msg) from error
         return int(told) if option.count else told
     values = text.split(",") if option.multiple else [text]
     for value in values:
-        _converted(option, value)
+        option.type.convert(value, option, None)
     return values if option.multiple else text

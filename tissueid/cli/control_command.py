@@ -22,7 +22,7 @@ from tissueid.cli.flags import (
 )
 from tissueid.cli.output import progress_bar, tell
 from tissueid.documents import typed
-from tissueid.documents.control import Control, Device, Run
+from tissueid.documents.control import Control
 from tissueid.errors import NotIdentifiedError, refuse
 
 if TYPE_CHECKING:
@@ -135,31 +135,24 @@ def _tissue(flags: _ControlFlags) -> tuple[Tissue, str]:
 
 
 def _settings(flags: _ControlFlags, tissue: Tissue) -> ControlSettings:
-    from tissueid.rendering.control.settings import (
-        TABLE_3_DEVICE,
-        TABLE_3_OPERATOR,
-        ControlSettings,
-        Gains,
-        Mechanics,
-        VirtualTool,
-    )
+    from tissueid.rendering.control import settings as own
 
-    gains = Gains(
+    gains = own.Gains(
         damping_N_s_per_m=flags.kr,
         disturbance_bound_N=flags.bound,
-        adaptation=flags.gamma or Gains().adaptation,
+        adaptation=flags.gamma or own.Gains().adaptation,
         projection=not flags.no_projection,
         adaptation_sign=0 if flags.frozen else 1,
         saturation_N=math.inf if flags.saturation is None else flags.saturation,
     )
-    settings = ControlSettings(
+    settings = own.ControlSettings(
         tissue,
         stiffness_scale=flags.stiffness_scale,
         variant=flags.variant,
         environment=flags.environment,
-        device=Mechanics(*flags.interface) if flags.interface else TABLE_3_DEVICE,
-        operator=Mechanics(*flags.operator) if flags.operator else TABLE_3_OPERATOR,
-        tool=VirtualTool(flags.virtual_mass, flags.virtual_damping),
+        device=own.Mechanics(*flags.interface) if flags.interface else own.TABLE_3_DEVICE,
+        operator=own.Mechanics(*flags.operator) if flags.operator else own.TABLE_3_OPERATOR,
+        tool=own.VirtualTool(flags.virtual_mass, flags.virtual_damping),
         gains=gains,
         seconds=flags.seconds,
         rate_Hz=flags.rate,
@@ -193,32 +186,24 @@ def _lines(document: Control) -> list[str]:
         f"{'':<10}{columns}  V' above its bound",
     ]
     for run in document.runs:
-        lines += _run_lines(run, tissue.depth_mm)
+        one = run.measures
+        errors = f"{one.error_rms_mm:>9.4f} mm{one.error_max_mm:>7.3f} mm"
+        forces = f"{one.environment_force_max_N:>7.4g} N{one.control_force_max_N:>7.4g} N"
+        violated = f"{one.violated_share:.2%}, at most {one.violation_max_W:.3g} W"
+        diverged = "" if one.diverged_s is None else f"; DIVERGED at {one.diverged_s:.3f} s"
+        speed = f"{one.velocity_error_rms_mm_s:>8.3f} mm/s"
+        lines.append(f"{run.name:<10}{errors}{speed}{forces}  {violated}{diverged}")
+        if one.outside_share > 0.0:
+            share = f"{one.outside_share:.1%} of it"
+            lines.append(f"{'':<10}{share} deeper than the {tissue.depth_mm:.3g} mm that were identified")
     if document.environment == "impedance":
         lines.append("an impedance-type loop leads by velocity alone: its error of position means nothing")
-    return lines + _device_lines(document.device)
-
-
-def _run_lines(run: Run, depth_mm: float) -> list[str]:
-    one = run.measures
-    errors = f"{one.error_rms_mm:>9.4f} mm{one.error_max_mm:>7.3f} mm"
-    forces = f"{one.environment_force_max_N:>7.4g} N{one.control_force_max_N:>7.4g} N"
-    violated = f"{one.violated_share:.2%}, at most {one.violation_max_W:.3g} W"
-    diverged = "" if one.diverged_s is None else f"; DIVERGED at {one.diverged_s:.3f} s"
-    speed = f"{one.velocity_error_rms_mm_s:>8.3f} mm/s"
-    lines = [f"{run.name:<10}{errors}{speed}{forces}  {violated}{diverged}"]
-    if one.outside_share > 0.0:
-        share = f"{one.outside_share:.1%} of it"
-        lines.append(f"{'':<10}{share} deeper than the {depth_mm:.3g} mm that were identified")
+    device = document.device
+    if device is not None:
+        felt = f"{device.hand_less_tissue_rms_N:.3f} N rms of {device.environment_force_max_N:.3g} N"
+        lines += [
+            f"on sim    error {device.error_rms_mm:.3f} mm rms, {device.error_max_mm:.3f} at most",
+            f"{'':<10}hand less tissue {felt}; {device.clipped_share:.2%} shaped by the guard",
+            f"{'':<10}forces x {device.force_scale:.3g}, travel x {device.motion_scale:.3g}",
+        ]
     return lines
-
-
-def _device_lines(device: Device | None) -> list[str]:
-    if device is None:
-        return []
-    felt = f"{device.hand_less_tissue_rms_N:.3f} N rms of {device.environment_force_max_N:.3g} N"
-    return [
-        f"on sim    error {device.error_rms_mm:.3f} mm rms, {device.error_max_mm:.3f} at most",
-        f"{'':<10}hand less tissue {felt}; {device.clipped_share:.2%} shaped by the guard",
-        f"{'':<10}forces x {device.force_scale:.3g}, travel x {device.motion_scale:.3g}",
-    ]

@@ -264,8 +264,7 @@ def print_plan(document: Design) -> None:
     """Print the plan to stdout."""
     asked, best = document.asked, document.protocols[0]
     wanted = ", ".join(f"{short_name(one.name)} to {_percent(one.share)}" for one in asked.wants)
-    head = f"{document.tissue.name} on {document.machine.name}: {wanted} ({asked.interval})"
-    echo(head)
+    echo(f"{document.tissue.name} on {document.machine.name}: {wanted} ({asked.interval})")
     if document.verdict.reached:
         said = f"recommended: {best.logs} logs, {time_words(best.seconds)} a specimen"
         if asked.specimens > 1:
@@ -277,13 +276,18 @@ def print_plan(document: Design) -> None:
     heads = ["", "time", "logs", *(short_name(one.name) for one in asked.wants)]
     rows = [_row(str(rank), one) for rank, one in enumerate(document.protocols, start=1)]
     given = document.against
+    shown = given is not None and given.protocol is not None
     if given is not None and given.protocol is not None:
         rows.append(_row(given.name, given.protocol))
-    shown = given is not None and given.protocol is not None
     echo_table([*heads, "channel", "indentations"], rows, numbers=len(heads), dim_last=shown)
-    if given is not None and given.protocol is None:
+    if given is not None and not shown:
         echo(f"{given.name} can't be run here: {given.obstacle}")
-    _print_limits(document)
+    limits = document.verdict.limits
+    if not limits and not document.verdict.reached:
+        echo("no single change of machine or channel would help by a tenth")
+    for one in limits[:PRINTED_LIMITS]:
+        much = "that would be enough" if one.enough else f"{one.factor:.2g} times as precise"
+        echo(f"limited by {one.name}: {one.words}: {much}")
     for remark in document.verdict.remarks:
         echo(f"note: {remark}")
 
@@ -295,12 +299,3 @@ def _row(rank: str, protocol: Protocol) -> list[str]:
     channel = f"{setting.rate_Hz:g} Hz{low_pass}"
     indentations = "\n".join(f"{one.repeats} x {one.words}" for one in protocol.indentations)
     return [rank, time_words(protocol.seconds), str(protocol.logs), *precision, channel, indentations]
-
-
-def _print_limits(document: Design) -> None:
-    limits = document.verdict.limits
-    if not limits and not document.verdict.reached:
-        echo("no single change of machine or channel would help by a tenth")
-    for one in limits[:PRINTED_LIMITS]:
-        much = "that would be enough" if one.enough else f"{one.factor:.2g} times as precise"
-        echo(f"limited by {one.name}: {one.words}: {much}")

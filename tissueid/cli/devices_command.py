@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -130,17 +130,13 @@ def ask_consent(device: HapticDevice, flags: MovedFlags) -> None:
     click.confirm(f"{warning} Go on?", abort=True, err=True)
 
 
-def hang_mass(mass_g: float, *, quiet: int) -> Callable[[], None]:
+def hang_mass(mass_g: float, quiet: int) -> None:
     """Ask for the mass to be hung; where nobody can answer, wait."""
-
-    def ask() -> None:
-        if sys.stdin.isatty():
-            click.prompt(f"Hang {mass_g:g} g on the grip, then press Enter", default="", err=True)
-        else:
-            note(f"hang {mass_g:g} g on the grip now: {HANG_S:g} s", quiet=quiet)
-            time.sleep(HANG_S)
-
-    return ask
+    if sys.stdin.isatty():
+        click.prompt(f"Hang {mass_g:g} g on the grip, then press Enter", default="", err=True)
+    else:
+        note(f"hang {mass_g:g} g on the grip now: {HANG_S:g} s", quiet=quiet)
+        time.sleep(HANG_S)
 
 
 @contextlib.contextmanager
@@ -287,7 +283,7 @@ def calibrate_force(flags: _CalibrateForceFlags) -> int:
     from tissueid.haptics.measure import weigh
 
     with homed_for_calibration(flags) as device:
-        found = weigh(device, flags.mass * GRAM, hang_mass(flags.mass, quiet=flags.quiet))
+        found = weigh(device, flags.mass * GRAM, lambda: hang_mass(flags.mass, flags.quiet))
     before = float(device.facts()["calibration"]["units_per_Nm"])
     units = before * found.ratio
     document = {**asdict(found), "units_per_Nm": units, "units_per_Nm_before": before}
@@ -352,9 +348,7 @@ class _EmulateFlags(OutputFlags):
     never_homes: bool = option("The emulated user does not home it.")
     hand: str | None = option("What the hand does after homing.", type=click.Choice(HANDS))
     depth_mm: float = option("Depth the hand aims at.", default=10.0)
-    script: str | None = option(
-        'Carried like a machine: "indent 8 mm at 250 mm/min; hold 2 s".', metavar="TEXT"
-    )
+    script: str | None = option('Carried like a machine: "indent 8 mm at 250 mm/min; hold 2 s".')
     fault: tuple[str, ...] = option("Scripted fault, e.g. unplug@6 or jump@6:300.", metavar="KIND@S")
 
 

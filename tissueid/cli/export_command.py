@@ -98,10 +98,12 @@ def _write(content: bytes, flags: _ExportFlags) -> None:
 
 
 def _write_tissues(flags: _ExportFlags) -> int:
+    from tissueid.export.c_header import c_header
+    from tissueid.export.matlab import mat_bytes
+    from tissueid.export.prony import FEBIO_TERMS, abaqus_card, febio_card, linearised
+
     bundles = _bundles(flags)
     if flags.form == "mat":
-        from tissueid.export.matlab import mat_bytes
-
         if flags.output is None:
             refuse("a MATLAB file is no text for a terminal: name a file with -o, as -o tissues.mat")
         content = mat_bytes(bundles)
@@ -109,22 +111,14 @@ def _write_tissues(flags: _ExportFlags) -> int:
         names = ", ".join(repr(bundle.specimen) for bundle in bundles[:LISTED])
         more = " ..." if len(bundles) > LISTED else ""
         refuse(f"{flags.out} holds {len(bundles)} specimens: choose one with --specimen {names}{more}")
+    elif flags.form == "c-header":
+        content = c_header(bundles[0])
+    elif flags.form == "febio":
+        content = febio_card(linearised(bundles[0], flags.depth, most=FEBIO_TERMS))
     else:
-        content = _tissue_bytes(bundles[0], flags)
+        content = abaqus_card(linearised(bundles[0], flags.depth))
     _write(content, flags)
     return 0
-
-
-def _tissue_bytes(bundle: Bundle, flags: _ExportFlags) -> bytes:
-    if flags.form == "c-header":
-        from tissueid.export.c_header import c_header
-
-        return c_header(bundle)
-    from tissueid.export.prony import FEBIO_TERMS, abaqus_card, febio_card, linearised
-
-    if flags.form == "febio":
-        return febio_card(linearised(bundle, flags.depth, most=FEBIO_TERMS))
-    return abaqus_card(linearised(bundle, flags.depth))
 
 
 def _bundles(flags: _ExportFlags) -> list[Bundle]:

@@ -250,9 +250,7 @@ def _identify_options(flags: _FitFlags) -> IdentifyOptions:
     from tissueid.pipeline import DEFAULT_REQUIRED, IdentifyOptions
 
     required = tuple(name for name in flags.require if name != "none")
-    posterior = None
-    if flags.sampler != "none":
-        posterior = PosteriorOptions(flags.sampler, flags.draws, flags.seed)
+    sampled = PosteriorOptions(flags.sampler, flags.draws, flags.seed) if flags.sampler != "none" else None
     return IdentifyOptions(
         fit=FitOptions(
             model=flags.model or KELVIN_VOIGT,
@@ -267,7 +265,7 @@ def _identify_options(flags: _FitFlags) -> IdentifyOptions:
             poisson=flags.poisson,
         ),
         segment=segment_options(flags),
-        posterior=posterior,
+        posterior=sampled,
         required=required if flags.require else DEFAULT_REQUIRED,
         seed=flags.seed,
     )
@@ -318,20 +316,24 @@ def print_summary(found: Assembled, out: str, *, quiet: int, verbose: int) -> No
             quiet=quiet,
         )
     if not quiet:
-        _print(found, out, verbose=verbose)
+        if found.large:
+            echo(f"{found.fitted} of {found.jobs} specimens fitted")
+        elif found.fitted:
+            _print_specimens(load_identification(found.document).specimens, verbose=verbose)
+        for row in typed(found.exclusions, tuple[Exclusion, ...]):
+            echo()
+            echo(f"excluded  {whole_label(row)}: {row.because}")
+            if row.note:
+                echo(f"  {row.note}")
+            for one in row.with_it:
+                before = with_error(one.without, one.without_stderr)
+                after = with_error(one.with_it, one.with_stderr)
+                unit = "" if one.with_it is None else f" {one.unit}"
+                echo(f"  {one.symbol:<6} with it {after}{unit} (without: {before})")
+        if found.fitted:
+            echo()
+            echo(f"Report: {out}/report.html")
     print_reasons(found, quiet=quiet)
-
-
-def _print(found: Assembled, out: str, *, verbose: int) -> None:
-    if found.large:
-        echo(f"{found.fitted} of {found.jobs} specimens fitted")
-    elif found.fitted:
-        _print_specimens(load_identification(found.document).specimens, verbose=verbose)
-    for row in found.exclusions:
-        _print_exclusion(typed(row, Exclusion))
-    if found.fitted:
-        echo()
-        echo(f"Report: {out}/report.html")
 
 
 def _print_specimens(specimens: Sequence[Specimen], *, verbose: int) -> None:
@@ -348,19 +350,6 @@ def _print_specimens(specimens: Sequence[Specimen], *, verbose: int) -> None:
             echo(f"  ! {line}", fg="yellow")
     if not verbose and any(specimen.sampler is not None for specimen in specimens):
         echo("In brackets: 95 % intervals, with what is not known of the machine; -v prints both kinds.")
-
-
-def _print_exclusion(row: Exclusion) -> None:
-    """A trial that was left out, why, and what the specimen's numbers would be with it."""
-    echo()
-    echo(f"excluded  {whole_label(row)}: {row.because}")
-    if row.note:
-        echo(f"  {row.note}")
-    for one in row.with_it:
-        before = with_error(one.without, one.without_stderr)
-        after = with_error(one.with_it, one.with_stderr)
-        unit = "" if one.with_it is None else f" {one.unit}"
-        echo(f"  {one.symbol:<6} with it {after}{unit} (without: {before})")
 
 
 def print_reasons(found: Assembled, *, quiet: int) -> None:

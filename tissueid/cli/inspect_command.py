@@ -35,10 +35,9 @@ class _InspectFlags(ReadingFlags, OutputFlags):
     html: str | None = option(
         "Write a page that draws every recording, with its flags and the lines of study.toml to change it.",
         type=FILE,
-        metavar="FILE",
     )
-    csv: str | None = option("Write what was measured as a table, one row a hold.", type=FILE, metavar="FILE")
-    xlsx: str | None = option("The same table as a workbook.", type=FILE, metavar="FILE")
+    csv: str | None = option("Write what was measured as a table, one row a hold.", type=FILE)
+    xlsx: str | None = option("The same table as a workbook.", type=FILE)
     study: str | None = option(
         "Study file whose decisions are followed. [default: study.toml of the folder that is inspected]",
         type=PATH,
@@ -149,14 +148,23 @@ def _print(one: Trial) -> None:
     contact = one.contact
     if contact is not None:
         echo(f"  contact     {with_error(contact.displacement_mm, contact.sd_mm)} {length}")
-    _print_phases(one, start_s)
-    _print_corners(one, start_s)
-    _print_cycles(one)
+    _print_course(one, start_s)
+    for cycle in one.cycles:
+        told = (
+            (cycle.peak_force_N, "peak", f" {force}"),
+            (cycle.secant_N_per_mm, "secant", f" {force}/{length}"),
+            (cycle.dissipated_mJ, "loop area", f" {force} {length}"),
+        )
+        parts = [f"{words} {it.value:.4g}{unit}" for it, words, unit in told if it.value is not None]
+        echo(f"  loop {cycle.number:<6} to {cycle.peak_depth_mm:.4g} {length}: {', '.join(parts)}")
     for flag in one.flags:
         echo(f"  ! {flag.code}: {flag.message}", fg="yellow")
 
 
-def _print_phases(one: Trial, start_s: float) -> None:
+def _print_course(one: Trial, start_s: float) -> None:
+    """Phases, the stops between them, and events."""
+    from tissueid.report.wording import event_words, took
+
     length = one.units.length
     for phase in one.phases:
         line = f"  {phase.kind:<11} {phase.start_s - start_s:.6g} to {phase.end_s - start_s:.6g} s"
@@ -166,36 +174,16 @@ def _print_phases(one: Trial, start_s: float) -> None:
         if phase.peak_s is not None:
             line += f", deepest at {phase.peak_s - start_s:.6g} s"
         echo(line)
-
-
-def _print_corners(one: Trial, start_s: float) -> None:
-    from tissueid.report.wording import event_words, took
-
     for corner in one.corners:
         line = f"  stop        at {corner.time_s - start_s:.6g} s, {took(corner.duration_s)}"
         if corner.overshoot_mm > 0.0:
-            line += f", overshoot {corner.overshoot_mm:.2g} {one.units.length}"
+            line += f", overshoot {corner.overshoot_mm:.2g} {length}"
         if corner.ringing_swings > 1:
             line += f", rings {corner.ringing_swings} times"
         echo(line)
     for event in one.events:
         words = event_words(event.values, one.units)
         echo(f"  {event.kind.replace('_', ' '):<11} at {event.time_s - start_s:.6g} s: {words}")
-
-
-def _print_cycles(one: Trial) -> None:
-    length, force = one.units.length, one.units.force
-    for cycle in one.cycles:
-        parts = [
-            f"{words} {measure.value:.4g}{unit}"
-            for measure, words, unit in (
-                (cycle.peak_force_N, "peak", f" {force}"),
-                (cycle.secant_N_per_mm, "secant", f" {force}/{length}"),
-                (cycle.dissipated_mJ, "loop area", f" {force} {length}"),
-            )
-            if measure.value is not None
-        ]
-        echo(f"  loop {cycle.number:<6} to {cycle.peak_depth_mm:.4g} {length}: {', '.join(parts)}")
 
 
 #: What a level asks for, and its colour.
@@ -214,7 +202,9 @@ def names_of(described: Sequence[Trial]) -> list[tuple[str, str]]:
     """Heading, empty but before the first of several sheets of a file, and name of every recording."""
     from tissueid.report.wording import whole_label
 
-    folder = _shared_folder(described)
+    folders = {os.path.dirname(one.path) for one in described}  # noqa: PTH120 -- paths as they were typed
+    apart = len(described) < 2 or "" in folders or len({Path(one).is_absolute() for one in folders}) > 1
+    folder = "" if apart else os.path.join(os.path.commonpath(folders), "")  # noqa: PTH118
     sheets = Counter(one.path for one in described)
     found = []
     for before, one in zip([None, *described], described, strict=False):
@@ -224,14 +214,6 @@ def names_of(described: Sequence[Trial]) -> list[tuple[str, str]]:
             first = before is None or before.path != one.path
             found.append((one.path.removeprefix(folder) * first, f"  {one.sheet}"))
     return found
-
-
-def _shared_folder(described: Sequence[Trial]) -> str:
-    """The folder of all recordings; empty for a single one."""
-    folders = {os.path.dirname(one.path) for one in described}  # noqa: PTH120 -- paths as they were typed
-    if len(described) < 2 or "" in folders or len({Path(one).is_absolute() for one in folders}) > 1:
-        return ""
-    return os.path.join(os.path.commonpath(folders), "")  # noqa: PTH118
 
 
 def recording_lines(one: Trial | Watch, name: str, *, alone: bool = True) -> list[str]:
@@ -244,13 +226,8 @@ def recording_lines(one: Trial | Watch, name: str, *, alone: bool = True) -> lis
         word += f": {verdict.reason}"
     if flags and alone:
         word += f"  {flags} flag{'s' * (flags > 1)}"
-    return _broken([name, _numbers(one), word])
-
-
-def _broken(parts: Sequence[str]) -> list[str]:
-    """Parts of a line, those that pass its width on lines of their own."""
-    lines = [parts[0]]
-    for part in parts[1:]:
+    lines = [name]
+    for part in (_numbers(one), word):
         if len(lines[-1]) + 2 + len(part) <= WIDTH:
             lines[-1] += f"  {part}"
         else:

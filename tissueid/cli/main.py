@@ -6,7 +6,7 @@ import contextlib
 import os
 import sys
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -18,7 +18,7 @@ from tissueid.errors import EXIT_INTERRUPTED, TissueidError, was_interrupted
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-#: Group of the help -> its sub-commands -> what each does, from module ``tissueid.cli.<name>_command``;
+#: Group of the help -> its sub-commands -> what each does, from ``cli/<name>_command.py`` or by TOGETHER;
 #: VISION.md says which promise each group keeps.
 GROUPS = {
     "Everyday": {
@@ -60,6 +60,12 @@ GROUPS = {
     },
 }
 COMMANDS = {name: meaning for group in GROUPS.values() for name, meaning in group.items()}
+#: Module -> commands that stand in it together, each under its name.
+TOGETHER = {
+    "folder": ("status", "validate", "migrate", "report"),
+    "words": ("explain", "models", "doctor"),
+    "calibrate": ("calibrate-frame",),
+}
 
 #: The matrices of a fit are small: threads of the linear algebra library make it ten times slower by
 #: waiting for each other.  Read when numpy is loaded, which is after this.
@@ -91,9 +97,9 @@ class LazyGroup(click.Group):
         del ctx
         if cmd_name not in COMMANDS:
             return None
-        module = cmd_name.replace("-", "_")
-        command = import_module(f"tissueid.cli.{module}_command").command
-        assert isinstance(command, click.Command)  # noqa: S101
+        module = next((one for one, names in TOGETHER.items() if cmd_name in names), None)
+        found = import_module(f"tissueid.cli.{module or cmd_name}_command")
+        command: click.Command = getattr(found, "command" if module is None else cmd_name.replace("-", "_"))
         return command
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
@@ -147,17 +153,9 @@ def cli(context: click.Context) -> None:
         context.color = False
     name = context.invoked_subcommand
     if name is not None and name not in UNSET and not (context.obj and HELP & set(context.obj)):
-        context.default_map = _settings(name)
+        from tissueid.cli.config_command import as_default_map, settings_of
 
-
-def _settings(name: str) -> dict[str, Any]:
-    """Defaults of a command from configuration files and the environment, as click takes them."""
-    from tissueid.cli.config_command import as_default_map, settings_files, settings_of
-
-    command = cli.get_command(click.Context(cli), name)
-    if command is None:
-        return {}
-    return as_default_map(settings_of(command, (name,), settings_files(), cli))
+        context.default_map = as_default_map(settings_of(name))
 
 
 def with_verb(args: list[str]) -> list[str]:
@@ -175,10 +173,6 @@ def _is_recording(arg: str) -> bool:
     name = arg.partition("::")[0]
     written = os.sep in name or "/" in name or "." in name
     return not name.startswith("-") and (os.path.lexists(name) or (written and "=" not in name))
-
-
-def _verbose(args: list[str]) -> bool:
-    return any(arg == "--verbose" or (arg.startswith("-v") and set(arg[1:]) == {"v"}) for arg in args)
 
 
 def _interrupted() -> int:
@@ -203,13 +197,6 @@ def _misused(error: click.ClickException, args: list[str]) -> int:
     return error.exit_code
 
 
-def _pipe_closed() -> int:
-    """The reader of a pipe has gone: nothing is left to say to it, and what was asked for is done."""
-    with contextlib.suppress(OSError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 0
-
-
 def _refused(error: TissueidError) -> int:
     """A deliberate failure, in its own words."""
     echo(f"tissueid: {error}", err=True)
@@ -218,7 +205,7 @@ def _refused(error: TissueidError) -> int:
 
 def _broken(error: Exception, args: list[str]) -> int:
     """A bug: one line, and with -v where it is."""
-    if _verbose(args):
+    if any(arg == "--verbose" or (arg.startswith("-v") and set(arg[1:]) == {"v"}) for arg in args):
         import traceback
 
         for line in traceback.format_exc().splitlines():
@@ -244,8 +231,11 @@ def main(args: list[str] | None = None) -> int:
     except TissueidError as error:
         return _refused(error)
     except (SystemExit, BrokenPipeError):
-        # click and rich raise SystemExit for a pipe whose reader has gone, and for nothing else here
-        return _pipe_closed()
+        # click and rich raise SystemExit for a pipe whose reader has gone, and for nothing else here:
+        # nothing is left to say to it, and what was asked for is done
+        with contextlib.suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except ModuleNotFoundError as error:
         from tissueid.extras import missing_extra
 

@@ -50,17 +50,13 @@ def _escaped(found: re.Match[str]) -> str:
 def _written(text: str, stream: Any) -> str:
     """The text in letters that the stream's encoding has."""
     encoding = getattr(stream, "encoding", None) or "utf-8"
-    for plainer in (str, plain_exponents, _typed):
+    typewritten = str.maketrans({"±": "+-", "×": "x", "·": "*"})
+    for plainer in (str, plain_exponents, lambda text: text.translate(typewritten)):
         text = plainer(text)
         with suppress(UnicodeEncodeError):
             text.encode(encoding)
             return text
     return text.encode(encoding, "backslashreplace").decode(encoding)
-
-
-def _typed(text: str) -> str:
-    """Signs of numbers as a typewriter has them."""
-    return text.replace("±", "+-").replace("×", "x").replace("·", "*")
 
 
 def echo(message: str = "", *, err: bool = False, fg: str | None = None, bold: bool = False) -> None:

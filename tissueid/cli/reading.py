@@ -106,7 +106,6 @@ def recorded_options(said: Mapping[str, str | None]) -> ReadOptions:
     """Options of reading as a run recorded them, by the names of its flags."""
     from tissueid.ingest import ReadOptions
 
-    delimiter, decimal = said.get("delimiter"), said.get("decimal")
     return ReadOptions(
         columns=_pairs(said.get("columns"), "--columns"),
         units=_pairs(said.get("units"), "--units"),
@@ -114,8 +113,8 @@ def recorded_options(said: Mapping[str, str | None]) -> ReadOptions:
         specimen_by=said.get("specimen_by"),
         recipe=said.get("recipe"),
         sheet=said.get("sheet"),
-        delimiter=None if delimiter is None else DELIMITERS[delimiter],
-        decimal=None if decimal is None else DECIMALS[decimal],
+        delimiter=DELIMITERS.get(said.get("delimiter") or ""),
+        decimal=DECIMALS.get(said.get("decimal") or ""),
     )
 
 

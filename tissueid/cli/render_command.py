@@ -58,7 +58,7 @@ class RenderFlags(ViewerFlags):
     quantile: float | None = option("Feel the draw nearest this quantile of --of.", metavar="Q")
     of: str = option(
         "Which number the quantile, and the comparison of two tissues, is of.",
-        metavar="TEXT", default="force at 6 mm, 250 mm/min",
+        default="force at 6 mm, 250 mm/min",
     )
     against: Path | None = option(
         "A second tissue; Enter switches. With --twin, the recording whose travel is driven.",
@@ -72,14 +72,12 @@ class RenderFlags(ViewerFlags):
         "A scene.toml, or one that comes along: hip-resurfacing, meat, orbital-floor.",
         metavar="NAME|FILE", shell_complete=scenes,
     )
-    plan: Path | None = option(
-        "Axis and entry point to be guided to, instead of the scene's.", metavar="FILE"
-    )
+    plan: Path | None = option("Axis and entry point to be guided to, instead of the scene's.")
     # its scale and surface
     force_scale: float | None = option("Device force over tissue force.", metavar="S")
     motion_scale: float | None = option("Device travel over tissue depth. [default: 5]", metavar="S")
     surface: str | None = option(
-        "'plane', 'sphere R mm' or 'box X x Y x Z mm', in tissue units. [default: plane]", metavar="TEXT"
+        "'plane', 'sphere R mm' or 'box X x Y x Z mm', in tissue units. [default: plane]"
     )
     tip_radius: float | None = option(
         "Radius of the tool tip; another than identified is refused.", type=ABOVE_0, metavar="MM"
@@ -92,14 +90,14 @@ class RenderFlags(ViewerFlags):
     firmware: str | None = option("Firmware of a Falcon without any.", type=PATH, metavar="FILE")
     port: str | None = option("Serial port of a Falcon instead of USB.", metavar="PATH")
     calibration: str | None = option("Calibration of a Falcon.", type=PATH, metavar="FILE")
-    script: str | None = option("Strokes of the simulated grip, see docs/render.md.", metavar="TEXT")
+    script: str | None = option("Strokes of the simulated grip, see docs/render.md.")
     seconds: float | None = option("End after this time; else with Ctrl-C.", metavar="S")
     virtual: bool = option("Run a script as fast as it can be computed.")
-    log: Path | None = option("Record the session to this HDF5 file.", metavar="FILE")
+    log: Path | None = option("Record the session to this HDF5 file.")
     replay: Path | None = option("Render the motion of a recorded session.", metavar="LOG")
     bridge: str | None = option("Send positions to PORT by UDP, hear parameters on the next.", metavar="PORT")
     bridge_token: str | None = option(
-        "What requests to the bridge must carry. [default: drawn, and printed]", metavar="TEXT"
+        "What requests to the bridge must carry. [default: drawn, and printed]"
     )
     viewer: bool = option("Show the session in a browser; a mouse leads --device sim.")
     selftest: bool = option("Measure the servo on this machine, and leave.")
@@ -116,7 +114,7 @@ class RenderFlags(ViewerFlags):
     blind: bool = option("Compare without telling which is felt.")
     presentations: int | None = option("How many, evenly shared. [default: 10]", metavar="N")
     pseudonym: str | None = option("Letters and a number; never a name.", metavar="P17")
-    key: Path | None = option("Where the answers go. [default: beside the log]", metavar="FILE")
+    key: Path | None = option("Where the answers go. [default: beside the log]")
     # fmt: on
 
 
@@ -208,6 +206,13 @@ def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedVi
         bridge = UdpBridge(parse_address(flags.bridge), flags.bridge_token)
         if flags.bridge_token is None:
             note(f'bridge: requests must carry "token": "{bridge.token}"')
+
+    def watch(servo: ServoProcess) -> None:
+        if viewer is not None:
+            from tissueid.viewer.hello import show_session
+
+            show_session(viewer, plan, servo, flags.bundle)
+
     # last of all: what is refused after it would leave an empty log behind
     recorder = None if flags.log is None else Recorder(flags.log, plan.head)
     return Session(
@@ -219,16 +224,8 @@ def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedVi
         # a hand is needed: said however quiet
         tell=note,
         spawned=spawned,
-        watch=lambda servo: _show(viewer, plan, servo, flags.bundle),
+        watch=watch,
     )
-
-
-def _show(viewer: ServedViewer | None, plan: SessionPlan, servo: ServoProcess, bundle: Path | None) -> None:
-    """Show a servo on the viewer, where there is one."""
-    if viewer is not None:
-        from tissueid.viewer.hello import show_session
-
-        show_session(viewer, plan, servo, bundle)
 
 
 def _asked(flags: RenderFlags) -> RenderOptions:
@@ -243,10 +240,9 @@ def _asked(flags: RenderFlags) -> RenderOptions:
     # what is said on the command line comes before what the scene says
     said = {} if scene is None else {key: one for key, one in scene.tissue.items() if one is not None}
     said |= {key: value for key, value in asked.items() if value is not None}
-    alike: dict[str, Any] = {key: getattr(flags, key) for key in _ALIKE}
     return RenderOptions(
         **{"surface": "plane", **said},
-        **alike,
+        **{key: getattr(flags, key) for key in _ALIKE},
         scene=scene,
         device=flags.name,
         # the device itself is made where it is used, in the servo's process
@@ -393,30 +389,27 @@ def keyboard(*, switches: bool) -> Callable[[], Wish]:
 
 def status_line(plan: SessionPlan, *, quiet: bool) -> Callable[[Any, SessionSummary], None]:
     """One line that is written over and over, on a terminal only, unless it was written a moment ago."""
+    from tissueid.haptics.states import Lamp, State
+
     on, shown_s = not quiet and sys.stderr.isatty(), 0.0
 
     def show(record: Any, summary: SessionSummary) -> None:
         nonlocal shown_s
         now = time.monotonic()
-        if on and now - shown_s >= SHOW_EVERY_S:
-            shown_s = now
-            draw("\r\x1b[K" + status_text(record, summary, blind=plan.order is not None))
+        if not on or now - shown_s < SHOW_EVERY_S:
+            return
+        shown_s = now
+        which, tissue = "", f" (tissue {float(record['tissue_force_N']):.1f} N)"
+        if plan.order is not None:
+            which, tissue = f"presentation {int(record['label'])}  ", ""
+        force = float((record["force_N"] ** 2).sum() ** 0.5)
+        lamps = " ".join(str(lamp.name).lower().replace("_", " ") for lamp in Lamp(int(record["lamps"])))
+        draw(
+            f"\r\x1b[K{summary.seconds:7.1f} s  {State(int(record['state'])).name.lower():8} {which}"
+            f"depth {float(record['depth_mm']):6.2f} mm  force {force:5.2f} N{tissue}  {lamps}"
+        )
 
     return show
-
-
-def status_text(record: Any, summary: SessionSummary, *, blind: bool) -> str:
-    """A record in one line, for eyes and screen readers."""
-    from tissueid.haptics.states import Lamp, State
-
-    force = float((record["force_N"] ** 2).sum() ** 0.5)
-    lamps = " ".join(str(lamp.name).lower().replace("_", " ") for lamp in Lamp(int(record["lamps"])))
-    which = f"presentation {int(record['label'])}  " if blind else ""
-    tissue = "" if blind else f" (tissue {float(record['tissue_force_N']):.1f} N)"
-    return (
-        f"{summary.seconds:7.1f} s  {State(int(record['state'])).name.lower():8} {which}"
-        f"depth {float(record['depth_mm']):6.2f} mm  force {force:5.2f} N{tissue}  {lamps}"
-    )
 
 
 def summary_lines(outcome: Outcome) -> list[str]:
@@ -426,20 +419,18 @@ def summary_lines(outcome: Outcome) -> list[str]:
 
     summary = typed(plain(outcome.summary), Summary)
     period = summary.period_us
-    ended = (
-        f"{outcome.message}; {summary.seconds:.1f} s, {summary.ticks} ticks, "
-        f"{summary.skipped_ticks} skipped, {summary.lost_records} records lost"
+    ticks = f"{summary.ticks} ticks, {summary.skipped_ticks} skipped, {summary.lost_records} records lost"
+    felt = f"{summary.peak_device_force_N:.3g} N at the device, {summary.peak_tissue_force_N:.4g} N of tissue"
+    error = (
+        f"median {period.median:.0f}, p99 {period.p99:.0f}, p99.9 {period.p99_9:.0f}, max {period.max:.0f}"
     )
-    peak = (
-        f"{summary.peak_device_force_N:.3g} N at the device, {summary.peak_tissue_force_N:.4g} N of "
-        f"tissue, {summary.deepest_mm:.3g} mm deep; {1e3 * summary.energy_J:.3g} mJ taken from the hand"
-    )
-    timing = (
-        f"{summary.scheduling}; period error median {period.median:.0f}, p99 {period.p99:.0f}, "
-        f"p99.9 {period.p99_9:.0f}, max {period.max:.0f} us"
-        + ("; TIMING DEGRADED" if summary.timing_degraded else "")
-    )
-    text = [f"ended      {ended}", f"peak       {peak}", f"timing     {timing}"]
+    degraded = "; TIMING DEGRADED" if summary.timing_degraded else ""
+    taken = f"{1e3 * summary.energy_J:.3g} mJ taken from the hand"
+    text = [
+        f"ended      {outcome.message}; {summary.seconds:.1f} s, {ticks}",
+        f"peak       {felt}, {summary.deepest_mm:.3g} mm deep; {taken}",
+        f"timing     {summary.scheduling}; period error {error} us{degraded}",
+    ]
     lit = [
         f"{lamp.replace('_', ' ')} {100.0 * share:.2g} %"
         for lamp, share in summary.shares.items()

@@ -121,7 +121,7 @@ class _IncludeFlags(OutputFlags):
 
 
 class _ExcludeFlags(_IncludeFlags):
-    because: str = option("Why; shown wherever the trial is missed.", required=True, metavar="TEXT")
+    because: str = option("Why; shown wherever the trial is missed.", required=True)
 
 
 @subcommand(

@@ -28,7 +28,7 @@ class _TrainingFlags(OutputFlags):
         "Height above the bone at which an attempt begins.", type=ABOVE_0, default=40.0, metavar="MM"
     )
     html: str | None = option(
-        "Write a page of attempts, their ways, and how practice changed them.", type=FILE, metavar="FILE"
+        "Write a page of attempts, their ways, and how practice changed them.", type=FILE
     )
 
 
@@ -61,7 +61,8 @@ def _measured(flags: _TrainingFlags) -> tuple[Training, dict[str, Any]]:
     rows: list[Attempt] = []
     refused: list[Refused] = []
     tracks: dict[str, Any] = {}
-    for path in _files(flags.logs):
+    given = map(Path, flags.logs)
+    for path in (file for one in given for file in (sorted(one.glob("*.h5")) if one.is_dir() else [one])):
         try:
             log = read_session_log(path)
             found = measured(log.head, log.records, cone_entry_mm=flags.cone_entry)
@@ -78,11 +79,6 @@ def _measured(flags: _TrainingFlags) -> tuple[Training, dict[str, Any]]:
     return Training(
         "tissueid/training/1", flags.cone_entry, tuple(rows), tuple(_learning(rows)), tuple(refused)
     ), tracks
-
-
-def _files(given: Sequence[str]) -> Iterator[Path]:
-    for one in map(Path, given):
-        yield from sorted(one.glob("*.h5")) if one.is_dir() else [one]
 
 
 def _learning(rows: Sequence[Attempt]) -> Iterator[Learning]:

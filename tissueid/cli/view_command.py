@@ -28,8 +28,8 @@ class ViewerFlags(OutputFlags):
         default="127.0.0.1",
     )
     viewer_port: int | None = option("Of the viewer. [default: 8765, or a free one]", type=PORT, metavar="N")
-    certificate: Path | None = option("Serve the viewer by TLS ...", metavar="FILE")
-    certificate_key: Path | None = option("... with this key.", metavar="FILE")
+    certificate: Path | None = option("Serve the viewer by TLS ...")
+    certificate_key: Path | None = option("... with this key.")
 
 
 class _ViewFlags(ViewerFlags):
@@ -39,7 +39,7 @@ class _ViewFlags(ViewerFlags):
         type=FILE_THERE,
         metavar="RECORDING",
     )
-    token: str | None = option("Of the session elsewhere, as its terminal shows it.", metavar="TEXT")
+    token: str | None = option("Of the session elsewhere, as its terminal shows it.")
 
 
 @subcommand("view", "out.h5", "out/twin/felt.h5 --beside hold-8-1.csv", "192.0.2.7:8765 --token ABC")
@@ -48,12 +48,18 @@ def command(flags: _ViewFlags) -> int:
 
     A log is played as it was felt; the session elsewhere must have been started with --viewer and --host.
     """
-    what = str(flags.what)
-    if Path(what).exists() or not _is_address(what):
-        return _play(flags, Path(what))
+    if Path(flags.what).exists() or not _is_address(flags.what):
+        return _play(flags, Path(flags.what))
     if flags.beside is not None:
         refuse("--beside is for a LOG: a session elsewhere is watched as it goes")
-    return _open_elsewhere(flags, what)
+    from tissueid.viewer.serving import reach
+
+    # served already: the page is opened once it answers
+    url = reach(flags.what, flags.token)
+    echo(f"viewer     {url}", err=True)
+    if not flags.no_browser:
+        open_browser(url)
+    return 0
 
 
 def _is_address(text: str) -> bool:
@@ -77,17 +83,6 @@ def _play(flags: _ViewFlags, path: Path) -> int:
     # it ends with us; before us only where something took it away
     msg = "the viewer's server ended by itself"
     raise DeviceError(msg)
-
-
-def _open_elsewhere(flags: _ViewFlags, what: str) -> int:
-    """Open the page of a session that is served already, once it answers."""
-    from tissueid.viewer.serving import reach
-
-    url = reach(what, flags.token)
-    echo(f"viewer     {url}", err=True)
-    if not flags.no_browser:
-        open_browser(url)
-    return 0
 
 
 #: One of these is set where a browser has a screen.

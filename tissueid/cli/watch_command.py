@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from importlib import import_module
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,14 +71,13 @@ def command(flags: _WatchFlags) -> int:
     each is one line. Ctrl-C ends with a summary.
     """
     session = _session(flags)
-    looks = range(LOOKS) if flags.once else iter(int, 1)
     try:
-        for number, _ in enumerate(looks):
+        for number in range(LOOKS) if flags.once else count():
             if number:
                 time.sleep(flags.interval)
             for happening in session.step():
                 _tell(happening, flags)
-            if number == LOOKS - 1 and flags.once is False:
+            if number == LOOKS - 1 and not flags.once:
                 note("waiting for the next test; Ctrl-C ends", quiet=flags.quiet)
     except KeyboardInterrupt:
         note("", quiet=flags.quiet)
@@ -141,15 +142,13 @@ def _tell(happening: Happening, flags: _WatchFlags) -> None:
         note(happening.text, quiet=flags.quiet)
         return
     level = verdict.verdict.level
-    loud = flags.quiet < 1 or level in {"repeat", "refused"}
-    if happening.kind == "fitted" and not flags.as_json:
-        if loud:
-            _print_fit(verdict)
-        return
     if flags.as_json:
         echo_json_text(json.dumps(plain(verdict), ensure_ascii=False, allow_nan=False))
-    elif loud:
-        _print(verdict, flags, again=happening.kind == "replaced")
+    elif not flags.quiet or level in {"repeat", "refused"}:
+        if happening.kind == "fitted":
+            _print_fit(verdict)
+        else:
+            _print(verdict, flags, again=happening.kind == "replaced")
     if flags.bell and happening.kind != "fitted":
         draw("\a\a" if level in {"repeat", "refused"} else "\a")
 
@@ -176,9 +175,9 @@ def _print_fit(one: Watch) -> None:
 
 
 def _summary(session: WatchSession) -> None:
-    count = {level: sum(one.verdict.level == level for one in session.verdicts) for level in COLOURS}
     words = {"good": "good", "look": "to look at", "repeat": "to repeat", "refused": "refused"}
-    told = ", ".join(f"{number} {words[level]}" for level, number in count.items() if number)
+    often: Counter[str] = Counter(one.verdict.level for one in session.verdicts)
+    told = ", ".join(f"{often[level]} {said}" for level, said in words.items() if often[level])
     many = "s" * (len(session.verdicts) > 1)
     note(f"{len(session.verdicts)} test{many}: {told}" if told else "no test was seen")
     for one in session.verdicts:

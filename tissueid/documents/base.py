@@ -26,8 +26,7 @@ Sha256 = Annotated[str, Meta(pattern="^([0-9a-f]{64})?$")]  # empty where a reco
 class Document(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Immutable record of a document; a field with a default may be left out of the file."""
 
-    #: Constraints of the JSON Schema beyond types
-    RULES: ClassVar[JsonSchema] = {}
+    RULES: ClassVar[JsonSchema] = {}  # Constraints of the JSON Schema beyond types
 
 
 class OfSheet(Document, frozen=True):

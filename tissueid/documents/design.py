@@ -170,10 +170,7 @@ class Work(Document, frozen=True):
 
 
 class Design(Document, frozen=True):
-    """The protocol of least machine time for a wanted precision: what was asked, ranked protocols.
-
-    What limits them. Precisions are standard deviations as shares of the value.
-    """
+    """Protocols of least machine time for wanted precisions: standard deviations as shares of the value."""
 
     schema: Literal["tissueid/design/1"]
     tissue: Tissue  # The tissues that were planned for

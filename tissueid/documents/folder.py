@@ -131,8 +131,7 @@ class Frame(Document, frozen=True):
     range_N: tuple[NonNegative, NonNegative]  # Forces the recordings cover [N]
     stiffness_N_per_mm: Positive  # Tangent stiffness at the largest force [N/mm]
     noise_sd_mm: NonNegative  # Standard deviation of the residual displacement [mm]
-    #: Standard deviation between loadings at the largest force [mm]; null for one loading, where 5 % is
-    #: assumed
+    #: Standard deviation between loadings at the largest force [mm]; null for one: 5 % is assumed then
     repeatability_sd_mm: NonNegative | None
     loadings: PositiveCount  # Loadings that were used
     sources: Annotated[tuple[Source, ...], Meta(min_length=1)]

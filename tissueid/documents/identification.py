@@ -49,13 +49,8 @@ class Estimate(Document, frozen=True):
         "if": {"properties": {"identified": {"const": False}}},
         "then": {
             "properties": {
-                "mean": {"type": "null"},
-                "sd": {"type": "null"},
-                "ci95": {"type": "null"},
-                "ci95_total": {"type": "null"},
-                "ess_bulk": {"type": "null"},
-                "ess_tail": {"type": "null"},
-                "r_hat": {"type": "null"},
+                key: {"type": "null"}
+                for key in ("mean", "sd", "ci95", "ci95_total", "ess_bulk", "ess_tail", "r_hat")
             }
         },
         "else": {"properties": {"value": {"type": "number"}}},
@@ -72,8 +67,7 @@ class Estimate(Document, frozen=True):
         ],
     }
 
-    #: Name of a parameter, as the model declares it: tissueid models lists them; viscosity_N_s_per_mm of a
-    #: branch is derived
+    #: As the model declares it: tissueid models lists them; viscosity_N_s_per_mm of a branch is derived
     name: Annotated[str, Meta(pattern="^(static|stiffness|relaxation|viscosity|damping)_[a-zA-Z0-9_]+$")]
     symbol: str
     unit: str
@@ -83,11 +77,9 @@ class Estimate(Document, frozen=True):
     #: Posterior mean, in the unit of the value; null without a posterior and where not identified
     mean: float | None
     sd: NonNegative | None  # Posterior standard deviation, in the unit of the value
-    #: Statistical 95 % interval [low, high], in the unit of the value: noise, scatter between logs, contact
-    #: points
+    #: Statistical 95 % interval, in the unit of the value: noise, scatter between logs, contact points
     ci95: tuple[float, float] | None
-    #: Total 95 % interval [low, high], in the unit of the value: the calibration of the machine as well; null
-    #: for normalised recordings
+    #: Total 95 % interval: the calibration of the machine as well; null for normalised recordings
     ci95_total: tuple[float, float] | None
     ess_bulk: NonNegative | None  # Effective draws in the bulk; null where it is not defined
     ess_tail: NonNegative | None  # Effective draws in the tails
@@ -108,10 +100,7 @@ class TipGeometry(Document, frozen=True):
 
 
 class Validity(Document, frozen=True):
-    """Claim of the model: depths up to depth_mm.
-
-    Loading speeds between the slowest and fastest fitted, this tip.
-    """
+    """Claim of the model: depths up to depth_mm, loading speeds between the fitted ones, this tip."""
 
     depth_mm: NonNegative
     speeds_mm_s: tuple[float, float]
@@ -180,10 +169,7 @@ class Provenance(Document, frozen=True):
 
 
 class Nrmsd(Document, frozen=True):
-    """Root-mean-square deviation: over the range of the force, over its mean (fractions, not percent).
-
-    And in N.
-    """
+    """Root-mean-square deviation: over the range of the force and its mean (fractions), and in N."""
 
     range: NonNegative
     mean: NonNegative
@@ -240,10 +226,7 @@ class Optimisers(Document, frozen=True, forbid_unknown_fields=False):
 
 
 class Selection(Document, frozen=True, forbid_unknown_fields=False):
-    """One candidate model and its held-out score: log predictive density less that of the best.
-
-    Larger is better.
-    """
+    """A candidate model and its held-out score: log predictive density less the best's; larger is better."""
 
     RULES: ClassVar[JsonSchema] = {"additionalProperties": {"type": ["number", "string", "boolean", "null"]}}
 
@@ -310,8 +293,7 @@ class BudgetRow(Document, frozen=True, omit_defaults=False):
     """Share of one source in the uncertainty of one parameter."""
 
     parameter: Text
-    #: `total` and `cluster bootstrap` stand beside the sources
-    source: Source
+    source: Source  # `total` and `cluster bootstrap` stand beside the sources
     #: Standard deviation, in the unit of the parameter; null where it could not be worked out
     sd: NonNegative | None
     share: NonNegative | None  # Of the total variance; null for rows that are no part of the sum
@@ -352,8 +334,6 @@ class Specimen(Document, frozen=True):
     """Fit of one specimen."""
 
     specimen: Text
-    #: Quantities of displacement and force: mm and N, or normalised. Keys keep their names; every `unit` is
-    #: written in these
     units: Units
     model: Model
     parameters: tuple[Estimate, ...]  # None of the yardstick
@@ -366,7 +346,7 @@ class Specimen(Document, frozen=True):
     cycles: tuple[Cycle, ...]  # Load-unload loops of its trials
     quoted: Quoted | None
     unloading: Unloading | None  # null where only loading was fitted
-    optimisers: Optimisers  # Optima of Levenberg-Marquardt and variable projection, and their agreement
+    optimisers: Optimisers
     selection: tuple[Selection, ...]
     sampler: SamplerReport | None  # Sampling of the posterior; null where none was
     noise: NoiseFit | None  # Noise of the force in the posterior; null where none was sampled
@@ -376,8 +356,7 @@ class Specimen(Document, frozen=True):
     #: Checks of residuals for what the model and its noise can't make; null where it was not looked at
     misfit: MisfitAlarm | None
     flags: tuple[Flag, ...]
-    #: The relaxation time of the one-branch model with holds cut to T, T/2 and T/4; null where no hold
-    #: determines it
+    #: Of the one-branch model with holds cut to T, T/2 and T/4; null where no hold determines it
     relaxation_window: RelaxationWindow | None = None
     measured: tuple[Spread, ...] | None = None  # Measured, no model, with the spread between logs
     #: Unloading that was not fitted, as loading and holds predict it; null where no tool turned back
@@ -450,16 +429,12 @@ class Exclusion(Document, frozen=True):
     specimen: str | None
     because: str
     note: str | None
-    #: The specimen's parameters fitted again, same model, with this trial among its logs; null where the data
-    #: do not determine one
+    #: The specimen's parameters fitted again with this trial; null where the data do not determine one
     with_it: tuple[WithIt, ...]
 
 
 class StudyRecord(Document, frozen=True):
-    """Rows that study.toml adds; everything is flat, so that a table can be joined on path and sheet.
-
-    And on specimen.
-    """
+    """Rows that study.toml adds, flat, so that a table can be joined on path, sheet and specimen."""
 
     path: str  # study.toml as it was named
     sha256: Sha256

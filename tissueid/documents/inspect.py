@@ -69,8 +69,7 @@ class Phase(Document, frozen=True):
     kind: Literal["approach", "ramp", "hold", "creep", "retract", "rest", "cycle"]
     start_s: float
     end_s: float
-    #: Speed of the line through 20 to 80 % of the travel, in the compression direction; of a cycle, mean
-    #: speed of its loading
+    #: Of the line through 20 to 80 % of the travel, in compression; of a cycle, mean speed of its loading
     speed_mm_s: float
     braking_s: float  # Time a ramp brakes before its stop
     peak_s: float | None  # Time of a cycle's deepest sample; null in other phases
@@ -103,10 +102,7 @@ class Verdict(Document, frozen=True):
 
 
 class Units(Document, frozen=True):
-    """Units of displacement and force: mm and N, or normalised.
-
-    Keys keep their names; every `unit` is written in these.
-    """
+    """Units of displacement and force: mm and N, or normalised; keys keep names, each `unit` is in these."""
 
     length: Literal["mm", "1"]  # 1 for a strain or stretch
     force: Literal["N", "MPa"]  # MPa for a stress
@@ -140,8 +136,6 @@ class Trial(OfSheet, frozen=True):
     measured: Measured  # Peaks, forces in the hold, loops, relaxation times and moduli, no model
     verdict: Verdict  # Keep it (good), stop and look, or push again (repeat), with one reason
     flags: tuple[Flag, ...]
-    #: Quantities of displacement and force: mm and N, or normalised. Keys keep their names; every `unit` is
-    #: written in these
     units: Units
 
 

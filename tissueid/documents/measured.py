@@ -8,19 +8,16 @@ from tissueid.documents.base import Count, Document, PositiveCount, Text
 
 
 class Base(Document, frozen=True):
-    """The recorded force from which forces count: read in air, at rest before the first move.
-
-    Or the record's own zero.
-    """
+    """Recorded force that forces count from: in air, at rest before the first move, or the record's zero."""
 
     recorded_N: float
     source: Literal["air", "rest", "recorded"]
 
 
 class MeasuredPeak(Document, frozen=True):
-    """Largest force from max(0.5 s, braking) before the stop to 0.1 s after it.
+    """Largest force from max(0.5 s, braking) before the stop to 0.1 s after it, or of a move without hold.
 
-    Of the whole move where nothing is held; a mean over a few samples where they are noisy.
+    A mean over a few samples where they are noisy.
     """
 
     time_s: float  # As recorded
@@ -75,8 +72,7 @@ class MeasuredForce(Document, frozen=True):
     over_10s: float | None  # after_stop_N over that at 10 s
     #: after_peak_N over the peak. Depends on the ramp: another ramp to the same depth gives another number
     over_peak: float | None
-    #: The time is ten ramp times or later; earlier values are not compared between programs
-    beyond_ramp: bool
+    beyond_ramp: bool  # The time is ten ramp times or later; earlier values are not compared between programs
     reason: str | None
 
 
@@ -130,8 +126,6 @@ class MeasuredLoop(Document, frozen=True):
 class Measured(Document, frozen=True):
     """Forces from the base, growing with loading; recorded_N is the same force as the recording has it."""
 
-    #: The recorded force from which forces count: read in air, at rest before the first move, or the record's
-    #: own zero
     base: Base
     push: MeasuredPush | None  # The loading with the largest peak, loops apart; null where there is none
     holds: tuple[MeasuredHold, ...]  # In time order
@@ -141,9 +135,7 @@ class Measured(Document, frozen=True):
 class Spread(Document, frozen=True):
     """One measured number over the logs of a specimen."""
 
-    name: (
-        Text  # peak, depth, travel, speed, ramp_time, modulus_loading, force, relaxation_time, loop_area ...
-    )
+    name: Text  # peak, depth, travel, speed, ramp_time, modulus_loading, force, relaxation_time ...
     unit: str
     #: Logs of one speed and depth; those with holds first and the deepest of them first
     program: PositiveCount

@@ -30,14 +30,10 @@ CycleKind = Literal["cycle", "ramp-retract", "ramp-hold-retract"]
 
 
 class Cycle(OfSheet, frozen=True):
-    """One load-unload loop, measured from its samples.
-
-    No model is involved but for viscosity_model_N_s_per_mm.
-    """
+    """One load-unload loop, measured from its samples, no model but for viscosity_model_N_s_per_mm."""
 
     number: PositiveCount
-    #: The area of a loop with a hold includes what relaxed in the hold
-    kind: CycleKind
+    kind: CycleKind  # The area of a loop with a hold includes what relaxed in the hold
     start_s: float
     peak_s: float
     end_s: float
@@ -50,14 +46,12 @@ class Cycle(OfSheet, frozen=True):
     hysteresis: Measure  # Area over work of loading, a fraction
     secant_N_per_mm: Measure  # Force over depth at the end of loading
     tangent_N_per_mm: Measure  # Slope of loading at its end
-    #: Depth at which unloading falls to 1 % of the peak force, or three sd of the noise; null where it never
-    #: does
+    #: Depth at which unloading falls to 1 % of the peak force, or three sd of the noise; null where never
     residual_depth_mm: Measure
     #: Loop area above the residual depth over the integral of v^2 dt: eta where v tau is small against the
     #: depth; null for a loop with a hold
     viscosity_N_s_per_mm: Measure
-    #: eta with which the fitted model has the measured area, its relaxation times kept; null where there is
-    #: no fit
+    #: eta with which the fitted model has the measured area, its relaxation times kept; null without a fit
     viscosity_model_N_s_per_mm: Measure
     #: Against the loop before, a fraction; null for the first loop and for another amplitude
     peak_force_change: Measure

@@ -39,10 +39,7 @@ class Funnel(Document, frozen=True):
         "not": {
             "required": ["contact_law"],
             "anyOf": [
-                {"required": ["stiffness_N_per_m_n"]},
-                {"required": ["exponent"]},
-                {"required": ["restitution"]},
-                {"required": ["law"]},
+                {"required": [key]} for key in ("stiffness_N_per_m_n", "exponent", "restitution", "law")
             ],
         }
     }

@@ -63,7 +63,8 @@ def schema_of(name: str) -> dict[str, Any]:
     if name == "flag":
         return {**head, "title": "One remark about a recording or a fit", **FLAG_SCHEMA}
     named = ROOTS[name]
-    roots = [_type(one) for one in named.removeprefix("*").split()]
+    places = [one.rpartition(".") for one in named.removeprefix("*").split()]
+    roots = [getattr(import_module(f"tissueid.documents.{module}"), kind) for module, _, kind in places]
     outer, components = msgspec.json.schema_components(
         roots, ref_template=_REFERENCE, schema_hook=_flag_reference
     )
@@ -91,12 +92,6 @@ def _flag_reference(kind: type[Any]) -> dict[str, str]:
     if kind is Flag:
         return {"$ref": _FLAG}
     raise NotImplementedError
-
-
-def _type(place: str) -> type[msgspec.Struct]:
-    module, _, kind = place.rpartition(".")
-    found: type[msgspec.Struct] = getattr(import_module(f"tissueid.documents.{module}"), kind)
-    return found
 
 
 def _snake(name: str) -> str:

@@ -75,8 +75,7 @@ class Simulations(Document, frozen=True):
     seed: Count
     sampler: Literal["emcee", "exact"]
     median_seconds: NonNegative  # Of one simulation and its inference
-    #: Means over the simulations: acceptance of the sampler, shares of identified parameters and of raised
-    #: misfit alarms, logs fitted
+    #: Means: acceptance of the sampler, shares of identified parameters and of misfit alarms, logs fitted
     detail: dict[str, float]
 
 

@@ -95,10 +95,7 @@ class Summary(Document, frozen=True):
 
 
 class Session(Document, frozen=True):
-    """Log of `tissueid render`: the head before the first tick, the summary after the last.
-
-    It names no person.
-    """
+    """Log of `tissueid render`: head before the first tick, summary after the last; it names no person."""
 
     schema: Literal["tissueid/session/1"]
     tissueid: str  # version

@@ -20,10 +20,10 @@ from tissueid.documents.inspect import Refusal
 
 
 class NormalPrior(Document, frozen=True):
-    """Normal prior of one coefficient, cut to the passive set [N/mm]."""
+    """Normal prior of one coefficient, cut to the passive set, in the unit of its name."""
 
-    mean: float  # Mean [N/mm]
-    sd: Positive  # Standard deviation [N/mm], above 0
+    mean: float
+    sd: Positive  # Standard deviation, above 0
 
 
 class LogNormalPrior(Document, frozen=True):
@@ -55,36 +55,22 @@ class Priors(Document, frozen=True, forbid_unknown_fields=False):
         }
     }
 
-    #: Normal prior of one coefficient, cut to the passive set [N/mm]
     static_1_N_per_mm: NormalPrior | None = None
-    #: Normal prior of one coefficient, cut to the passive set [N/mm^2]
     static_2_N_per_mm2: NormalPrior | None = None
-    #: Normal prior of one coefficient, cut to the passive set [N/mm^3]
     static_3_N_per_mm3: NormalPrior | None = None
-    #: Normal prior of one coefficient, cut to the passive set [N/mm]
     stiffness_0_N_per_mm: NormalPrior | None = None
-    #: Normal prior of one coefficient, cut to the passive set [N/mm^2]
     stiffness_1_N_per_mm2: NormalPrior | None = None
-    #: Normal prior of one coefficient, cut to the passive set [N/mm^3]
     stiffness_2_N_per_mm3: NormalPrior | None = None
-    #: Normal prior of one coefficient, cut to the passive set [N/mm]
     stiffness_0_N_per_mm_b2: NormalPrior | None = None
-    #: Normal prior of one coefficient, cut to the passive set [N/mm^2]
     stiffness_1_N_per_mm2_b2: NormalPrior | None = None
-    #: Normal prior of one coefficient, cut to the passive set [N/mm^3]
     stiffness_2_N_per_mm3_b2: NormalPrior | None = None
-    #: Normal prior of one coefficient, cut to the passive set [N/mm]
     stiffness_0_N_per_mm_b3: NormalPrior | None = None
-    #: Normal prior of one coefficient, cut to the passive set [N/mm^2]
     stiffness_1_N_per_mm2_b3: NormalPrior | None = None
-    #: Normal prior of one coefficient, cut to the passive set [N/mm^3]
     stiffness_2_N_per_mm3_b3: NormalPrior | None = None
     #: One table a branch, by ascending time
     relaxation_time_s: Annotated[tuple[LogNormalPrior, ...], Meta(min_length=1, max_length=3)] | None = None
     sigma_N: LogNormalPrior | None = None  # Log-normal prior of the noise's standard deviation
-    #: Correlation of the noise over one reference step (the commonest sampling step) is uniform between these
     phi: Phi | None = None
-    #: Half-normal prior of how much the gain (its logarithm) varies from log to log
     gain_sd: GainSd | None = None
 
 
@@ -155,7 +141,6 @@ class Population(Document, frozen=True):
     level: LogNormalPrior | None = None  # The same between donors, sites or operators
     #: Shape of the LKJ distribution of the correlations; 1 is uniform
     correlation_shape: Positive | None = None
-    #: Gamma prior of the degrees of freedom of a t distribution, cut to 1 and above
     tails: Tails | None = None
 
 
@@ -190,10 +175,7 @@ class Calibration(Document, frozen=True):
 
 
 class Model(Document, frozen=True):
-    """Contact model of every specimen, where the command names none: name.
-
-    Or candidates of which the one that predicts best is taken.
-    """
+    """Contact model of every specimen, where the command names none, or candidates: the best is taken."""
 
     #: As tissueid fit --model takes it: kelvin-voigt, auto, or STATIC * [STIFFNESS *] RELAXATION
     name: str | None = None
@@ -242,18 +224,6 @@ class OfChannels(Document, frozen=True):
     force: Text | None = None
 
 
-class Columns(OfChannels, frozen=True):
-    """Columns by name, or by number as "#2"."""
-
-
-class Units(OfChannels, frozen=True):
-    """Units in place of the file's."""
-
-
-class Axes(OfChannels, frozen=True):
-    """Content of channels that are not in mm or N, such as strain or stress."""
-
-
 class Override(Document, frozen=True):
     """Decisions of one recording, and the reason."""
 
@@ -272,9 +242,9 @@ class Override(Document, frozen=True):
     hold_from_s: float | None = None  # Begin of the hold nearest to it, as recorded [s]
     end_s: float | None = None  # Last time that counts, as recorded [s]
     rupture: bool | None = None  # false: no force drop of this recording is a rupture
-    columns: Columns | None = None  # Column of each quantity, by name or "#2"
-    units: Units | None = None  # Units in place of the file's
-    axes: Axes | None = None  # Content of a channel that is not mm or N, such as strain or stress
+    columns: OfChannels | None = None  # Column of each quantity, by name or "#2"
+    units: OfChannels | None = None  # Units in place of the file's
+    axes: OfChannels | None = None  # Content of a channel that is not mm or N, such as strain or stress
 
 
 class Exclude(Document, frozen=True):

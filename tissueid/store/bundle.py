@@ -147,10 +147,7 @@ class Bundle(Shown):
 
     def parameter(self, name: str) -> Estimate:
         """Return the reported parameter of that name (``KeyError`` where there is none)."""
-        for estimate in self.parameters:
-            if estimate.name == name:
-                return estimate
-        raise KeyError(name)
+        return {estimate.name: estimate for estimate in self.parameters}[name]
 
     def as_json(self) -> dict[str, Any]:
         """Return the document of ``schemas/bundle.schema.json``."""
@@ -269,29 +266,26 @@ def put_bundle(file: Any, bundle: Bundle, *, where: str) -> None:
 
 
 def load_bundle(path: Path | str) -> Bundle:
-    """Read a bundle and refuse whatever could not have been written by :func:`write_bundle`.
+    """Read a bundle whose parameters, and every draw of them, make a passive model.
 
-    Parameters
-    ----------
-    path : Path or str
-
-    Returns
-    -------
-    Bundle
-        Whose parameters, and every draw of them, make a passive model.
-
-    Raises
-    ------
-    BundleError
-        Naming the file, what is wrong with it, and the way out.
+    Raises BundleError: it could not have been written by :func:`write_bundle`; with file, fault and way out.
     """
     path = Path(path)
     damaged = "it is damaged, incomplete or another kind of file: copy it again or run `tissueid fit` again"
     with open_file(path, "a bundle", damaged, "bundles into its output folder") as file:
         check_format(file, BUNDLE_FORMAT)
-        _check_header(path, file.attrs)
+        version, seal = file.attrs.get("schema_version"), file.attrs.get("content_sha256")
+        if version != BUNDLE_SCHEMA_VERSION:
+            newer = isinstance(version, np.integer | int) and version > BUNDLE_SCHEMA_VERSION
+            way = "install a newer tissueid" if newer else f"run `tissueid migrate {path}`"
+            reads = f"this tissueid reads version {BUNDLE_SCHEMA_VERSION}"
+            msg = f"{path}: schema version {version}, {reads}; {way}, or fit again"
+            raise BundleError(msg)
+        if seal is None:
+            none = "carries no content hash, so it was not written by tissueid"
+            msg = f"{path}: {none}; run `tissueid fit` again"
+            raise BundleError(msg)
         text, arrays = _read(file)
-        seal = file.attrs["content_sha256"]
     if seal != _content_hash(text, arrays):
         msg = f"{path}: changed since it was written (the content hash differs); run `tissueid fit` again"
         raise BundleError(msg)
@@ -331,19 +325,6 @@ def _read(file: Any) -> tuple[bytes, dict[str, FloatArray]]:
             raise ValueError(msg)
         arrays[name] = np.asarray(dataset[()])
     return text, arrays
-
-
-def _check_header(path: Path, attributes: Mapping[str, Any]) -> None:
-    version = attributes.get("schema_version")
-    if version != BUNDLE_SCHEMA_VERSION:
-        newer = isinstance(version, np.integer | int) and version > BUNDLE_SCHEMA_VERSION
-        way = "install a newer tissueid" if newer else f"run `tissueid migrate {path}`"
-        reads = f"this tissueid reads version {BUNDLE_SCHEMA_VERSION}"
-        msg = f"{path}: schema version {version}, {reads}; {way}, or fit again"
-        raise BundleError(msg)
-    if "content_sha256" not in attributes:
-        msg = f"{path}: carries no content hash, so it was not written by tissueid; run `tissueid fit` again"
-        raise BundleError(msg)
 
 
 def bundle_of_document(document: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Bundle:

@@ -1,15 +1,9 @@
-"""Whole files or none: atomic writes, hashes, and JSON that has one spelling.
+"""Whole files or none, their names on every file system, and JSON that has one spelling.
 
-A file is written to a temporary name beside its target, flushed to the disk, and moved over it with
-``os.replace``, which is atomic on POSIX and on NTFS.  A reader sees the old file or the new one.
-
-File names of a run; those of specimens are readable, unique, and valid on every file system.
-A specimen may be called anything a lab writes into a header field: with slashes, in Chinese, ``CON``,
-400 characters long, or like another but for its case.
-
-JSON documents longer than memory, spelled as :func:`tissueid.store.files.json_bytes` spells them.
-Lists that grow with a cohort are gathered element by element in a :class:`JsonList`, which keeps them in a
-temporary file, and are copied into the document where they stand.
+A file is written beside its target, flushed to the disk and moved over it by ``os.replace``, which is atomic
+on POSIX and on NTFS: a reader sees the old file or the new one.  A specimen may be called anything a lab
+writes into a header field: with slashes, in Chinese, ``CON``, 400 characters long, or like another but for
+its case.  Lists that grow with a cohort are gathered in a :class:`JsonList`, in a temporary file.
 """
 
 from __future__ import annotations

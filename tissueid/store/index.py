@@ -107,7 +107,8 @@ class Index:
             if isinstance(error, sqlite3.OperationalError):
                 raise BundleError(_unusable(self.path, error)) from error
             # cut or overwritten: it is a memory only, so a new one is begun
-            _remove(self.path)
+            for suffix in ("", "-wal", "-shm"):
+                self.path.with_name(self.path.name + suffix).unlink(missing_ok=True)
             self.remark = f"{self.path} was damaged ({error}) and is begun anew"
             self._open()
 
@@ -298,11 +299,6 @@ def _recording(row: sqlite3.Row) -> RecordingRow:
     refusal = None if row["refusal"] is None else Refusal(**json.loads(row["refusal"]))
     names = ("path", "sheet", "sha256", "raw", "samples", "kind", "specimen")
     return RecordingRow(**{name: row[name] for name in names}, refusal=refusal)
-
-
-def _remove(path: Path) -> None:
-    for suffix in ("", "-wal", "-shm"):
-        path.with_name(path.name + suffix).unlink(missing_ok=True)
 
 
 def _unusable(path: Path, error: Exception) -> str:

@@ -21,7 +21,7 @@ import csv
 import io
 import json
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -175,8 +175,13 @@ def merge_files(
             shutil.copyfile(run.path(names[specimen]), run.path(ONLY_BUNDLE))
     paths = list(fitted.values())
     try:
-        write_curves([curve for path in paths for curve in _curves(path)], run.path(CURVES))
-        _merge(paths, "posterior", run.path(POSTERIORS))
+        curves: list[TrialCurve] = []
+        for path in paths:
+            with h5py.File(path, "r") as file:
+                group = file[SPECIMEN_GROUP]
+                curves += get_curves(group["curves"]) if "curves" in group else ()
+        write_curves(curves, run.path(CURVES))
+        _merge_posteriors(paths, run.path(POSTERIORS))
     except HDF5_ERRORS as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise
@@ -184,23 +189,16 @@ def merge_files(
         raise BundleError(msg) from error
 
 
-def _curves(path: Path) -> Sequence[Any]:
-    with h5py.File(path, "r") as file:
-        group = file[SPECIMEN_GROUP]
-        return get_curves(group["curves"]) if "curves" in group else ()
-
-
-def _merge(paths: Iterable[Path], name: str, target: Path) -> None:
+def _merge_posteriors(paths: Iterable[Path], target: Path) -> None:
     """Numbered groups of many files in one, with one index; no file where no specimen has any."""
     index: list[Any] = []
     with new_file(target) as merged:
         for path in paths:
             with h5py.File(path, "r") as file:
-                group = file[SPECIMEN_GROUP].get(name)
+                group = file[SPECIMEN_GROUP].get("posterior")
                 if group is None:
                     continue
-                for key, value in group.attrs.items():
-                    merged.attrs[key] = value
+                merged.attrs.update(group.attrs)
                 for position, entry in enumerate(json.loads(get_text(group, "index"))):
                     # a copy of compressed chunks, not of numbers
                     merged.copy(group[str(position)], merged, name=str(len(index)))

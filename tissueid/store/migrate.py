@@ -26,7 +26,7 @@ from tissueid.store.bundle import BUNDLE_SCHEMA_VERSION, bundle_of_document, loa
 from tissueid.store.files import replacing
 from tissueid.store.hdf5 import check_format, get_text, open_file
 from tissueid.store.index import INDEX, INDEX_SCHEMA_VERSION
-from tissueid.store.outputs import FolderLock, OutputSet, current_run
+from tissueid.store.outputs import OutputSet, current_run, folder_lock
 
 #: Document and arrays of one version -> those of the next.
 Step = Callable[[dict[str, Any], dict[str, FloatArray]], tuple[dict[str, Any], dict[str, FloatArray]]]
@@ -134,7 +134,7 @@ def migrate_folder(
     """
     found: list[Migrated] = []
     if (out / INDEX).is_file():
-        with FolderLock(out):
+        with folder_lock(out):
             one = _migrate_index(out / INDEX, index)
         found += [] if one is None else [one]
     committed = current_run(out)

@@ -27,8 +27,8 @@ import platform
 import shutil
 import sys
 import time
-from collections.abc import Collection
-from contextlib import ExitStack
+from collections.abc import Collection, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Self
@@ -67,61 +67,47 @@ def _try_lock(stream: IO[bytes]) -> bool:
     return True
 
 
-class FolderLock:
+@contextmanager
+def folder_lock(folder: Path, *, wait_s: float = 0.0) -> Iterator[None]:
     """A context in which this process alone writes into a folder that exists.
 
     ``wait_s``: how long to wait for another writer [s].  Raises BundleError: on entering, where another
     process holds the lock or the file system knows no locks.
     """
-
-    def __init__(self, folder: Path, *, wait_s: float = 0.0) -> None:
-        self._path = folder / LOCK_NAME
-        self._wait_s = wait_s
-        self._stream: IO[bytes] | None = None
-
-    def __enter__(self) -> Self:
-        deadline = time.monotonic() + self._wait_s
-        try:
-            stream = self._path.open("ab+")
-        except OSError as error:
-            msg = f"{self._path.parent}: can't be written to ({error.strerror}); choose another output folder"
-            raise BundleError(msg) from error
+    path, deadline = folder / LOCK_NAME, time.monotonic() + wait_s
+    try:
+        stream = path.open("ab+")
+    except OSError as error:
+        msg = f"{folder}: can't be written to ({error.strerror}); choose another output folder"
+        raise BundleError(msg) from error
+    # closing gives the lock back; the file stays, since deleting it would race with the next writer
+    with stream:
         try:
             locked = _try_lock(stream)
             while not locked and time.monotonic() < deadline:
                 time.sleep(_POLL_S)
                 locked = _try_lock(stream)
         except OSError as error:
-            stream.close()
             msg = (
-                f"{self._path.parent}: this file system can't lock files ({error.strerror}); "
+                f"{folder}: this file system can't lock files ({error.strerror}); "
                 "write to a local folder and copy the result"
             )
             raise BundleError(msg) from error
         if not locked:
-            stream.close()
-            raise BundleError(self._busy_message())
-        holder = json.dumps({"pid": os.getpid(), "host": platform.node()}).encode()
+            try:
+                holder = json.loads(path.read_bytes())
+                who = f"process {holder['pid']} on {holder['host']}"
+            except (OSError, ValueError, KeyError, TypeError):
+                who = "another process"
+            msg = f"{folder}: {who} is writing here; wait for it to end or choose another folder"
+            raise BundleError(msg)
         stream.truncate(0)
-        stream.write(holder)
+        stream.write(json.dumps({"pid": os.getpid(), "host": platform.node()}).encode())
         stream.flush()
-        self._stream = stream
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._stream is not None:
-            # closing gives the lock back; the file stays, since deleting it would race with the next writer
-            self._stream.truncate(0)
-            self._stream.close()
-            self._stream = None
-
-    def _busy_message(self) -> str:
         try:
-            holder = json.loads(self._path.read_bytes())
-            who = f"process {holder['pid']} on {holder['host']}"
-        except (OSError, ValueError, KeyError, TypeError):
-            who = "another process"
-        return f"{self._path.parent}: {who} is writing here; wait for it to end or choose another folder"
+            yield
+        finally:
+            stream.truncate(0)
 
 
 _RUNS = ".runs"
@@ -184,7 +170,7 @@ def complete_refresh(out: Path | str) -> None:
     out = Path(out)
     if _is_refreshed(out):
         return
-    with FolderLock(out, wait_s=_REFRESH_WAIT_S):
+    with folder_lock(out, wait_s=_REFRESH_WAIT_S):
         if not _is_refreshed(out):
             _refresh(out)
 
@@ -195,11 +181,14 @@ def _refresh(out: Path) -> None:
         return
     for leftover in out.glob(f"{TEMPORARY_PREFIX}*"):
         leftover.unlink(missing_ok=True)
-    for name, entry in run.files.items():
+    for name in (*run.files, *(set(run.replaces) - set(run.files))):
         temporary = out / f"{TEMPORARY_PREFIX}{name}"
         try:
+            if name not in run.files:
+                (out / name).unlink(missing_ok=True)
+                continue
             shutil.copyfile(run.folder / name, temporary)
-            if sha256_of(temporary) != entry["sha256"]:
+            if sha256_of(temporary) != run.files[name]["sha256"]:
                 msg = f"{run.folder / name}: damaged since it was written; run `tissueid fit` again"
                 raise BundleError(msg)
             replace_file(temporary, out / name)
@@ -207,21 +196,13 @@ def _refresh(out: Path) -> None:
             msg = f"{run.folder / name}: missing from its run; run `tissueid fit` again"
             raise BundleError(msg) from error
         except PermissionError as error:
-            raise BundleError(_held_open(out / name)) from error
-    for name in set(run.replaces) - set(run.files):
-        try:
-            (out / name).unlink(missing_ok=True)
-        except PermissionError as error:
-            raise BundleError(_held_open(out / name)) from error
+            msg = (
+                f"{out / name}: can't be replaced, another program holds it open; close it there and run "
+                f"`tissueid validate {out}`, which finishes what was begun (the run itself is safe)"
+            )
+            raise BundleError(msg) from error
     write_file(run.folder / _REFRESHED, b"")
     _prune(out, keep=run.folder.name)
-
-
-def _held_open(path: Path) -> str:
-    return (
-        f"{path}: can't be replaced, another program holds it open; close it there and run "
-        f"`tissueid validate {path.parent}`, which finishes what was begun (the run itself is safe)"
-    )
 
 
 def _prune(out: Path, *, keep: str | None) -> None:
@@ -258,13 +239,17 @@ class OutputSet:
             msg = f"{self.out}: can't be made a folder ({error.strerror}); choose another output folder"
             raise BundleError(msg) from error
         with ExitStack() as held:
-            held.enter_context(FolderLock(self.out))
+            held.enter_context(folder_lock(self.out))
             # before there is anything to abandon: an interrupt may come at any time
             held.callback(self._abandon)
             if not _is_refreshed(self.out):
                 _refresh(self.out)
             self._previous = current_run(self.out)
-            self._folder = self._next_folder()
+            runs = self.out / _RUNS
+            runs.mkdir(exist_ok=True)
+            _prune(self.out, keep=self._previous.folder.name if self._previous else None)
+            taken = [int(folder.name) for folder in runs.iterdir() if folder.name.isdigit()]
+            self._folder = runs / f"{max(taken, default=0) + 1:06d}"
             self._folder.mkdir()
             self._held = held.pop_all()
         return self
@@ -307,9 +292,9 @@ class OutputSet:
         folder = self._open_folder()
         for leftover in folder.glob(f"{TEMPORARY_PREFIX}*"):
             leftover.unlink()
-        files = {path.name: path for path in sorted(folder.iterdir())}
         sealed = {
-            name: {"sha256": sha256_of(path), "bytes": path.stat().st_size} for name, path in files.items()
+            path.name: {"sha256": sha256_of(path), "bytes": path.stat().st_size}
+            for path in sorted(folder.iterdir())
         }
         manifest = {
             "schema": _SCHEMA,
@@ -328,11 +313,3 @@ class OutputSet:
             msg = "the output set is not open: use it inside `with`, before commit"
             raise RuntimeError(msg)
         return self._folder
-
-    def _next_folder(self) -> Path:
-        runs = self.out / _RUNS
-        runs.mkdir(exist_ok=True)
-        keep = self._previous.folder.name if self._previous else None
-        _prune(self.out, keep=keep)
-        taken = [int(folder.name) for folder in runs.iterdir() if folder.name.isdigit()]
-        return runs / f"{max(taken, default=0) + 1:06d}"

@@ -89,23 +89,19 @@ def put_posteriors(file: Any, posteriors: Iterable[StoredPosterior]) -> None:
         trials = [{"path": where, "sheet": sheet} for where, sheet in one.bands]
         names = {"theta_names": list(one.theta_names), "chain_names": list(one.chain_names)}
         index.append({"specimen": one.specimen, **names, "trials": trials})
-        hdf5.put_columns(file.create_group(str(position), track_order=False), _columns(one))
+        sizes = [band.shape[1] for band in one.bands.values()]
+        bands = np.concatenate([*one.bands.values(), np.empty((_BAND_ROWS, 0))], axis=1)
+        columns: dict[str, NDArray[Any]] = {
+            "draws": one.draws.astype("<f8"),
+            "chain": one.chain.astype("<f8"),
+            "bands": bands.astype("<f4"),
+            "offsets": hdf5.offsets_of(sizes),
+        }
+        for name in ("draws_total", "log_density", "log_prior"):
+            if (values := getattr(one, name)) is not None:
+                columns[name] = values.astype("<f8")
+        hdf5.put_columns(file.create_group(str(position), track_order=False), columns)
     hdf5.put_text(file, "index", json_bytes(index))
-
-
-def _columns(one: StoredPosterior) -> dict[str, NDArray[Any]]:
-    sizes = [band.shape[1] for band in one.bands.values()]
-    bands = np.concatenate([*one.bands.values(), np.empty((_BAND_ROWS, 0))], axis=1)
-    columns: dict[str, NDArray[Any]] = {
-        "draws": one.draws.astype("<f8"),
-        "chain": one.chain.astype("<f8"),
-        "bands": bands.astype("<f4"),
-        "offsets": hdf5.offsets_of(sizes),
-    }
-    for name in ("draws_total", "log_density", "log_prior"):
-        if (values := getattr(one, name)) is not None:
-            columns[name] = values.astype("<f8")
-    return columns
 
 
 def load_posteriors(path: Path | str) -> tuple[StoredPosterior, ...]:

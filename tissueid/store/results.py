@@ -84,17 +84,12 @@ def each_result(out: Path | str) -> Iterator[Result]:
     Raises BundleError: if there is no committed set or it is damaged.
     """
     run = _committed(Path(out))
-    if LISTED not in run.files:
-        yield from _of_merged(run)
+    if LISTED in run.files:
+        for one in read_listed(run.folder / LISTED):
+            if one.fitted:
+                record, own, posterior = load_specimen(Path(out) / SPECIMENS / one.file)
+                yield typed(record.fitted, Specimen), own, posterior
         return
-    for one in read_listed(run.folder / LISTED):
-        if one.fitted:
-            record, curves, posterior = load_specimen(Path(out) / SPECIMENS / one.file)
-            yield typed(record.fitted, Specimen), curves, posterior
-
-
-def _of_merged(run: CommittedRun) -> Iterator[Result]:
-    """The specimens of a set whose files are merged."""
     curves = load_curves(run.folder / CURVES)
     posteriors = {one.specimen: one for one in _posteriors(run)}
     for entry in load_identification(run.folder / IDENTIFICATION).specimens:
@@ -136,11 +131,14 @@ def output_problems(out: Path | str) -> list[str]:
         posteriors = _posteriors(run)
     except BundleError as error:
         return [error.message]
-    return [
-        *_specimen_problems(out, run),
-        *_bundle_problems(out, run, plain),
-        *_name_problems(document, curves, posteriors),
-    ]
+    problems = [*_specimen_problems(out, run), *_bundle_problems(out, run, plain)]
+    fitted = [(s.specimen, t.path, t.sheet) for s in document.specimens for t in s.trials]
+    if fitted != [(entry.specimen, entry.path, entry.sheet) for entry in curves]:
+        problems.append(f"{CURVES} and {IDENTIFICATION} name different trials")
+    sampled = [s.specimen for s in document.specimens if s.sampler is not None]
+    if sampled != [entry.specimen for entry in posteriors]:
+        problems.append(f"{POSTERIORS} and {IDENTIFICATION} name different sampled specimens")
+    return problems
 
 
 def _posteriors(run: CommittedRun) -> tuple[StoredPosterior, ...]:
@@ -233,14 +231,3 @@ def _bundle_problems(out: Path, run: CommittedRun, document: Mapping[str, Any]) 
         for key in ("model", "parameters", "validity", "sigma_N"):
             if bundle.as_json()[key] != entry[key]:
                 yield f"{name} and {IDENTIFICATION} differ in {key}"
-
-
-def _name_problems(
-    document: IdentificationDocument, curves: tuple[TrialCurve, ...], posteriors: tuple[StoredPosterior, ...]
-) -> Iterable[str]:
-    fitted = [(s.specimen, t.path, t.sheet) for s in document.specimens for t in s.trials]
-    if fitted != [(entry.specimen, entry.path, entry.sheet) for entry in curves]:
-        yield f"{CURVES} and {IDENTIFICATION} name different trials"
-    sampled = [s.specimen for s in document.specimens if s.sampler is not None]
-    if sampled != [entry.specimen for entry in posteriors]:
-        yield f"{POSTERIORS} and {IDENTIFICATION} name different sampled specimens"

@@ -1,8 +1,7 @@
 """The JSON Schemas: where they are found, and the one check every document goes through.
 
-The schemas are the source of truth for what ``--json`` prints and for what is stored.  They live in
-``schemas/`` of the repository and travel in the wheel as ``tissueid/schemas``; an editable install has
-no copy in the package, so the checkout beside it is asked second.
+They live in ``schemas/`` of the repository and travel in the wheel as ``tissueid/schemas``; an editable
+install has no copy in the package, so the checkout beside it is asked second.
 """
 
 from __future__ import annotations
@@ -66,11 +65,8 @@ def load_schema(name: str) -> Mapping[str, Any]:
 def _validator(name: str) -> Validator:
     # jsonschema costs some 0.1 s to import: only commands that check something pay for it
     from jsonschema import Draft202012Validator
-    from referencing import Registry, Resource
 
-    every = {f"{key}.schema.json": Resource.from_contents(load_schema(key)) for key in SCHEMA_NAMES}
-    registry: Any = Registry().with_resources(every.items())
-    return Draft202012Validator(load_schema(name), registry=registry)
+    return Draft202012Validator(load_schema(name))
 
 
 def _pointer(path: tuple[str | int, ...]) -> str:
@@ -79,20 +75,10 @@ def _pointer(path: tuple[str | int, ...]) -> str:
 
 def _non_finite(value: Any, path: tuple[str | int, ...] = ()) -> SchemaProblem | None:
     # JSON Schema's "number" lets NaN and infinity through, JSON itself does not
-    if isinstance(value, float):
-        return (
-            None if math.isfinite(value) else SchemaProblem(_pointer(path), f"{value} is not a finite number")
-        )
-    children: Any = ()
-    if isinstance(value, dict):
-        children = value.items()
-    elif isinstance(value, list):
-        children = enumerate(value)
-    for key, child in children:
-        problem = _non_finite(child, (*path, key))
-        if problem is not None:
-            return problem
-    return None
+    if isinstance(value, float) and not math.isfinite(value):
+        return SchemaProblem(_pointer(path), f"{value} is not a finite number")
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return next(filter(None, (_non_finite(child, (*path, key)) for key, child in items)), None)
 
 
 def first_problem(document: Any, name: str) -> SchemaProblem | None:

@@ -104,13 +104,21 @@ def read_session_log(source: Path | str | bytes, *, where: str | None = None) ->
     cut.  Raises BundleError: naming the file, what is wrong, and the way out.
     """
     name = where or (str(source) if not isinstance(source, bytes) else "session log")
-    data = source if isinstance(source, bytes) else _bytes(Path(source))
+    try:
+        data = source if isinstance(source, bytes) else Path(source).read_bytes()
+    except OSError as error:
+        msg = f"{name}: the log can't be read ({error.strerror or error}); name the file that --log wrote"
+        raise BundleError(msg) from error
     if data.startswith(RAW_MAGIC):
         head, start, record = _parsed_head(data, name)
         count = (len(data) - start) // record.itemsize
         return SessionLog(head, np.frombuffer(data, record, count, start).copy(), None)
     try:
-        text, records, attributes = _read_hdf5(data)
+        with h5py.File(io.BytesIO(data), "r") as file:
+            attributes = dict(file.attrs)
+            check_format(file, SESSION_FORMAT)
+            text, records = get_text(file, "document"), np.asarray(file["records"][()])
+        _check_record(records.dtype)
     except HDF5_ERRORS as error:
         msg = f"{name}: cannot be read as a session log ({error}); it is damaged or another kind of file"
         raise BundleError(msg) from error
@@ -120,7 +128,9 @@ def read_session_log(source: Path | str | bytes, *, where: str | None = None) ->
             f"{SESSION_SCHEMA_VERSION}; use the tissueid that wrote it"
         )
         raise BundleError(msg)
-    if attributes.get("content_sha256") != _content_hash(text, records).hexdigest():
+    digest = hashlib.sha256(_seal(text, records.dtype, records.size))
+    digest.update(np.ascontiguousarray(records).tobytes())
+    if attributes.get("content_sha256") != digest.hexdigest():
         msg = f"{name}: changed since it was written (the content hash differs); record it again"
         raise BundleError(msg)
     document = _document(text, name)
@@ -133,7 +143,11 @@ def convert_session_log(raw: Path, target: Path, summary: Mapping[str, Any]) -> 
     Raises BundleError: the raw log is none, or the summary does not follow the schema; OSError: there is no
     room for it.
     """
-    head, start, record = _raw_layout(raw)
+    with raw.open("rb") as stream:
+        data = stream.read(len(RAW_MAGIC) + _LENGTH_BYTES)
+        length = int.from_bytes(data[len(RAW_MAGIC) :], "little")
+        data += stream.read(min(length, _LARGEST_HEAD))
+    head, start, record = _parsed_head(data, str(raw))
     count = (raw.stat().st_size - start) // record.itemsize
     document = plain({**head, "summary": summary})
     check(document, "session", where=str(target))
@@ -159,38 +173,6 @@ def _seal(text: bytes, record: np.dtype[Any], count: int) -> bytes:
     """Beginning of the content hash: everything but the records themselves."""
     about = f"{SESSION_FORMAT}/{SESSION_SCHEMA_VERSION}/{count}/{record.descr}".encode()
     return about + len(text).to_bytes(_LENGTH_BYTES, "little") + text
-
-
-def _content_hash(text: bytes, records: RecordArray) -> Any:
-    digest = hashlib.sha256(_seal(text, records.dtype, records.size))
-    digest.update(np.ascontiguousarray(records).tobytes())
-    return digest
-
-
-def _bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        msg = f"{path}: the log can't be read ({error.strerror or error}); name the file that --log wrote"
-        raise BundleError(msg) from error
-
-
-def _read_hdf5(data: bytes) -> tuple[bytes, RecordArray, dict[str, Any]]:
-    with h5py.File(io.BytesIO(data), "r") as file:
-        attributes = dict(file.attrs)
-        check_format(file, SESSION_FORMAT)
-        text = get_text(file, "document")
-        records = np.asarray(file["records"][()])
-    _check_record(records.dtype)
-    return text, records, attributes
-
-
-def _raw_layout(path: Path) -> tuple[dict[str, Any], int, np.dtype[Any]]:
-    with path.open("rb") as stream:
-        data = stream.read(len(RAW_MAGIC) + _LENGTH_BYTES)
-        length = int.from_bytes(data[len(RAW_MAGIC) :], "little")
-        data += stream.read(min(length, _LARGEST_HEAD))
-    return _parsed_head(data, str(path))
 
 
 def _parsed_head(data: bytes, name: str) -> tuple[dict[str, Any], int, np.dtype[Any]]:

@@ -64,7 +64,6 @@ _LOOP_PLAIN = ("number", "kind", "start_s", "peak_s", "end_s", "floor_mm", "peak
 _LOOP_MEASURES = tuple(field.name for field in fields(Cycle) if field.type is Measure)
 _CONDITIONS = ("time_s", "frequency_Hz", "depth_mm", "amplitude_mm", "speed_mm_s", "formula", "path")
 _QUOTED = ("hold", "value", "stderr", "sd", "logs", "reason")
-_PROVENANCE = ("tissueid", "identification_sha256")
 
 Row = dict[str, Any]
 
@@ -80,9 +79,11 @@ class TidyTable:
 def tidy_table(document: Identification, name: str, *, digest: str | None = None) -> TidyTable:
     """One of :data:`TABLES`, from the document of identification.json, whose SHA-256 is ``digest``."""
     columns, rows = TABLES[name]
+    if name == "specimens":
+        columns = _specimen_columns(document)
     provenance = {"tissueid": document.provenance.tissueid, "identification_sha256": digest}
     found = [{**row, **provenance} for row in rows(document)]
-    return TidyTable((*columns(document), *_PROVENANCE), tuple(found))
+    return TidyTable((*columns, *provenance), tuple(found))
 
 
 def csv_bytes(table: TidyTable) -> bytes:
@@ -112,51 +113,36 @@ def _codes(*parts: Iterable[Flag]) -> list[str]:
 # --- specimens ---------------------------------------------------------------------------------------------
 
 
-def _parameter_names(document: Identification) -> list[str]:
+def _specimen_columns(document: Identification) -> tuple[str, ...]:
     most = min(max((specimen.model.branches for specimen in document.specimens), default=1), 3)
     branches = [f"{name}_b{branch}" for branch in range(2, most + 1) for name in _BRANCH_PARAMETERS]
     seen = (one.name for specimen in document.specimens for one in specimen.parameters)
-    return list(dict.fromkeys([*_PARAMETERS, *branches, *seen]))
-
-
-def _specimen_columns(document: Identification) -> list[str]:
-    estimates = [
-        column
-        for name in _parameter_names(document)
-        for column in (name, *(f"{name}_{part}" for part in _PARTS))
-    ]
-    return [
+    names = dict.fromkeys([*_PARAMETERS, *branches, *seen])
+    estimates = (part for name in names for part in (name, *(f"{name}_{part}" for part in _PARTS)))
+    return (
         *("specimen", "status", "trials", "excluded_trials", *_SPECIMEN_COVARIATES.values()),
         *("length_unit", "force_unit", "tip_radius_mm", "model", *_MODEL, *estimates),
         *("valid_depth_mm", "slowest_mm_s", "fastest_mm_s"),
         *("n_samples", "sigma_N", "nrmsd", "nrmsd_mean", "rmse_N", "optimisers_agree", *_SAMPLED),
         *("flags", "trial_flags"),
-    ]
+    )
 
 
 def _specimen_rows(document: Identification) -> Iterator[Row]:
     known = _specimen_covariates(document)
     gone = [one.specimen for one in document.study.exclusions] if document.study else []
-    fitted = set()
-    for specimen in document.specimens:
-        name = specimen.specimen
-        fitted.add(name)
-        yield {
-            "specimen": name,
-            "status": "fitted",
-            "excluded_trials": gone.count(name),
-            **known.get(name, {}),
-            **_fit_of(specimen),
-        }
-    for name in dict.fromkeys([*known, *(one for one in gone if one is not None)]):
-        if name not in fitted:
-            row = {"specimen": name, "status": "not fitted", "trials": 0, "excluded_trials": gone.count(name)}
-            yield {**row, **known.get(name, {})}
+    fitted = {one.specimen: _fit_of(one) for one in document.specimens}
+    for name in dict.fromkeys([*fitted, *known, *(one for one in gone if one is not None)]):
+        fit = (
+            {"status": "fitted", **fitted[name]} if name in fitted else {"status": "not fitted", "trials": 0}
+        )
+        yield {"specimen": name, "excluded_trials": gone.count(name), **known.get(name, {}), **fit}
 
 
 def _fit_of(specimen: Specimen) -> Row:
     model, validity, units = specimen.model, specimen.validity, specimen.units
     slowest, fastest = validity.speeds_mm_s
+    sampler, noise, misfit = specimen.sampler, specimen.noise, specimen.misfit
     row: Row = {
         "trials": len(specimen.trials),
         "length_unit": units.length,
@@ -173,7 +159,12 @@ def _fit_of(specimen: Specimen) -> Row:
         "nrmsd_mean": specimen.nrmsd.mean,
         "rmse_N": specimen.nrmsd.rmse_N,
         "optimisers_agree": specimen.optimisers.agree,
-        **_sampled(specimen),
+        "sampler": sampler and sampler.name,
+        "converged": sampler and sampler.converged,
+        "draws": sampler and sampler.draws,
+        "noise": noise and noise.model,
+        "phi": noise and noise.phi,
+        "misfit": misfit and misfit.raised,
         "flags": _codes(specimen.flags),
         "trial_flags": _codes(*(trial.flags for trial in specimen.trials)),
     }
@@ -186,19 +177,6 @@ def _fit_of(specimen: Specimen) -> Row:
     return row
 
 
-def _sampled(specimen: Specimen) -> Row:
-    """Sampler of the posterior, empty where nothing was sampled."""
-    sampler, noise, misfit = specimen.sampler, specimen.noise, specimen.misfit
-    return {
-        "sampler": sampler and sampler.name,
-        "converged": sampler and sampler.converged,
-        "draws": sampler and sampler.draws,
-        "noise": noise and noise.model,
-        "phi": noise and noise.phi,
-        "misfit": misfit and misfit.raised,
-    }
-
-
 def _specimen_covariates(document: Identification) -> dict[str, Row]:
     return {
         one.specimen: {column: getattr(one, key) for key, column in _SPECIMEN_COVARIATES.items()}
@@ -209,12 +187,11 @@ def _specimen_covariates(document: Identification) -> dict[str, Row]:
 # --- trials ------------------------------------------------------------------------------------------------
 
 
-def _trial_columns(_document: Identification) -> list[str]:
-    return [
-        *("specimen", "path", "sheet", "status", "reason", *_TRIAL_COVARIATES),
-        *(*_SPECIMEN_COVARIATES.values(), *_TRIAL_FIT, *_HOLD),
-        *("cycles", "flags", "recipe", "input_sha256"),
-    ]
+_TRIAL_COLUMNS = (
+    *("specimen", "path", "sheet", "status", "reason", *_TRIAL_COVARIATES),
+    *(*_SPECIMEN_COVARIATES.values(), *_TRIAL_FIT, *_HOLD),
+    *("cycles", "flags", "recipe", "input_sha256"),
+)
 
 
 def _place(part: Placed) -> tuple[str, str | None]:
@@ -280,11 +257,6 @@ def _longest_hold(rows: Sequence[Relaxation]) -> Row:
 # --- loops and quoted numbers ------------------------------------------------------------------------------
 
 
-def _cycle_columns(_document: Identification) -> list[str]:
-    measures = [column for name in _LOOP_MEASURES for column in (name, f"{name}_stderr")]
-    return ["specimen", "path", "sheet", *_LOOP_PLAIN, *measures]
-
-
 def _cycle_rows(document: Identification) -> Iterator[Row]:
     found: list[tuple[str | None, Cycle]]
     found = [(one.specimen, loop) for one in document.specimens for loop in one.cycles]
@@ -297,10 +269,6 @@ def _cycle_rows(document: Identification) -> Iterator[Row]:
             measure: Measure = getattr(loop, name)
             row |= {name: measure.value, f"{name}_stderr": measure.stderr}
         yield row
-
-
-def _quantity_columns(_document: Identification) -> list[str]:
-    return [*("specimen", "kind", "name", "unit"), *_CONDITIONS, *_QUOTED]
 
 
 def _quantity_rows(document: Identification) -> Iterator[Row]:
@@ -317,15 +285,13 @@ def _quantity_rows(document: Identification) -> Iterator[Row]:
             yield {"specimen": specimen.specimen, **plain, **more}
 
 
-_Columns = Callable[[Identification], list[str]]
-_Rows = Callable[[Identification], Iterator[Row]]
-
-#: Name -> its columns and its rows.
-TABLES: Mapping[str, tuple[_Columns, _Rows]] = MappingProxyType(
+_LOOP_NUMBERS = tuple(column for name in _LOOP_MEASURES for column in (name, f"{name}_stderr"))
+#: Name -> its columns, of specimens found in the document, and its rows.
+TABLES: Mapping[str, tuple[tuple[str, ...], Callable[[Identification], Iterator[Row]]]] = MappingProxyType(
     {
-        "specimens": (_specimen_columns, _specimen_rows),
-        "trials": (_trial_columns, _trial_rows),
-        "cycles": (_cycle_columns, _cycle_rows),
-        "quantities": (_quantity_columns, _quantity_rows),
+        "specimens": ((), _specimen_rows),
+        "trials": (_TRIAL_COLUMNS, _trial_rows),
+        "cycles": (("specimen", "path", "sheet", *_LOOP_PLAIN, *_LOOP_NUMBERS), _cycle_rows),
+        "quantities": (("specimen", "kind", "name", "unit", *_CONDITIONS, *_QUOTED), _quantity_rows),
     }
 )

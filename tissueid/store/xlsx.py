@@ -64,12 +64,17 @@ def xlsx_bytes(sheets: Sequence[Sheet]) -> bytes:
     if not sheets:
         msg = "a workbook needs a sheet"
         raise ValueError(msg)
-    names = _names([sheet.name for sheet in sheets])
-    numbers = range(1, len(sheets) + 1)
+    names, numbers = _names([sheet.name for sheet in sheets]), range(1, len(sheets) + 1)
+    listed = "".join(
+        f'<sheet name="{escape(name, _QUOTES)}" sheetId="{k}" r:id="rId{k}"/>'
+        for k, name in enumerate(names, 1)
+    )
     members = {
         "[Content_Types].xml": _content_types(numbers),
         "_rels/.rels": _relations([("rId1", "officeDocument", "xl/workbook.xml")]),
-        "xl/workbook.xml": _workbook(names),
+        "xl/workbook.xml": (
+            f'{_HEAD}<workbook xmlns="{_MAIN}" xmlns:r="{_LINKS}"><sheets>{listed}</sheets></workbook>'
+        ),
         "xl/_rels/workbook.xml.rels": _relations(
             [(f"rId{k}", "worksheet", f"worksheets/sheet{k}.xml") for k in numbers]
             + [(f"rId{len(names) + 1}", "styles", "styles.xml")]
@@ -118,22 +123,19 @@ def _relations(links: Iterable[tuple[str, str, str]]) -> str:
     return f'{_HEAD}<Relationships xmlns="{_PACKAGE}/relationships">{told}</Relationships>'
 
 
-def _workbook(names: Sequence[str]) -> str:
-    told = "".join(
-        f'<sheet name="{escape(name, _QUOTES)}" sheetId="{k}" r:id="rId{k}"/>'
-        for k, name in enumerate(names, 1)
-    )
-    return f'{_HEAD}<workbook xmlns="{_MAIN}" xmlns:r="{_LINKS}"><sheets>{told}</sheets></workbook>'
-
-
 def _sheet(sheet: Sheet) -> str:
     if len(sheet.rows) >= _MOST_ROWS:
         msg = f"{sheet.name}: {len(sheet.rows):,} rows are more than a sheet holds; write CSV instead"
         raise ValueError(msg)
-    rows = [_row(1, sheet.head, style=1), *(_row(k, row) for k, row in enumerate(sheet.rows, 2))]
+    longest = [len(text) for text in sheet.head]
+    for row in sheet.rows:
+        for k, value in enumerate(row[: len(longest)]):
+            # a number is shown in ten characters whatever its digits
+            longest[k] = max(longest[k], len(value) if isinstance(value, str) else 10)
+    rows = [_row(1, sheet.head, ' s="1"'), *(_row(k, row) for k, row in enumerate(sheet.rows, 2))]
     widths = "".join(
-        f'<col min="{k}" max="{k}" width="{width}" customWidth="1"/>'
-        for k, width in enumerate(_column_widths(sheet), 1)
+        f'<col min="{k}" max="{k}" width="{min(max(length + 1, _NARROWEST), _WIDEST)}" customWidth="1"/>'
+        for k, length in enumerate(longest, 1)
     )
     return (
         f'{_HEAD}<worksheet xmlns="{_MAIN}"><sheetViews><sheetView workbookViewId="0"><pane ySplit="1" '
@@ -142,21 +144,11 @@ def _sheet(sheet: Sheet) -> str:
     )
 
 
-def _column_widths(sheet: Sheet) -> list[int]:
-    longest = [len(text) for text in sheet.head]
-    for row in sheet.rows:
-        for k, value in enumerate(row[: len(longest)]):
-            # a number is shown in ten characters whatever its digits
-            longest[k] = max(longest[k], len(value) if isinstance(value, str) else 10)
-    return [min(max(length + 1, _NARROWEST), _WIDEST) for length in longest]
-
-
-def _row(number: int, values: Iterable[Cell], *, style: int = 0) -> str:
+def _row(number: int, values: Iterable[Cell], style: str = "") -> str:
     return f'<row r="{number}">{"".join(_cell(value, style) for value in values)}</row>'
 
 
-def _cell(value: Cell, style: int) -> str:
-    own = f' s="{style}"' if style else ""
+def _cell(value: Cell, own: str) -> str:
     if isinstance(value, str):
         text = escape(_NOT_IN_XML.sub("", printable(value))[:_CELL_LENGTH])
         return f'<c t="inlineStr"{own}><is><t xml:space="preserve">{text}</t></is></c>'
