@@ -270,7 +270,7 @@ def profile(funnel: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("kind", "said"), [("hyperboloid", "4 mm"), ("cone", "2.45 mm")])
 def test_the_radius_that_is_told_is_that_of_the_surface_at_the_entry(kind, said):
     # a cone's is slope x (offset + the printed 1 mm): 0.35 x 7 mm
-    wall = _told_of(Guidance(funnel=Funnel(kind=kind)))[1]
+    wall = _told_of(Guidance((0.0, 0.0, 0.0), funnel=Funnel(kind=kind)))[1]
     assert f"{kind}, {said} in radius at the entry" in wall
 
 
