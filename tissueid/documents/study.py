@@ -23,7 +23,7 @@ class NormalPrior(Document, frozen=True):
     """Normal prior of one coefficient, cut to the passive set, in the unit of its name."""
 
     mean: float
-    sd: Positive  # Standard deviation, above 0
+    sd: Positive  # Standard deviation in the unit of the table's name, above 0
 
 
 class LogNormalPrior(Document, frozen=True):

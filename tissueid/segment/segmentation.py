@@ -338,10 +338,7 @@ def _set_or_slow(first: Contact, again: Contact, path: Path, flags: list[Flag]) 
     met = replace(again, sd_mm=float(np.hypot(again.sd_mm, apart / np.sqrt(3.0))))
     if apart <= UNCERTAIN_SHARE * float(np.ptp(path.depth_mm)):
         return met, flags
-    message = (
-        f"after its loops the tool meets the tissue {apart:.3g} mm from where it first did: "
-        "the tissue has set, or is still coming back"
-    )
+    message = f"the tool meets the tissue {apart:.3g} mm away after its loops: set, or not back yet"
     said = Flag("contact_uncertain", message, {"sd_mm": met.sd_mm, "apart_mm": apart})
     return met, [*(flag for flag in flags if flag.code != said.code), said]
 
