@@ -238,7 +238,7 @@ class _Approach:
         noise = max(noise_N, 1e-6 * float(np.ptp(f)))
         drift = _drift_at_rest(u, f, start, noise)
         f = without_kick(f - drift * np.arange(-start, f.size - start), start, noise)
-        shallower = u[:start] < u[start] - STANDING_SHARE * float(np.ptp(u))
+        shallower = u[:start] < _stands_at(u, start) - STANDING_SHARE * float(np.ptp(u))
         if shallower.any():
             # the tool stands where it may touch, and what it touches relaxes: the way there tells more
             kept = np.append(shallower, np.ones(u.size - start, dtype=np.bool_))
@@ -257,7 +257,7 @@ class _Approach:
         u, f, air, noise = self.depth_mm, self.force_N, self.air, self.noise_N
         moved = np.arange(u.size) >= self.start
         # a tool may stand where it touches: what lies shallower, on its way there, is air as well
-        shallower = u < u[self.start] - STANDING_SHARE * float(np.ptp(u))
+        shallower = u < _stands_at(u, self.start) - STANDING_SHARE * float(np.ptp(u))
         in_air = (u < air.contact_mm) & (moved | shallower)
         count = int(in_air.sum())
         start_mm = float(np.median(u[: self.start + 1]))
@@ -280,6 +280,11 @@ class _Approach:
             baseline_N=signs[1] * (_reading_in_air(u, f, air, noise) + self.drift_N * met),
             in_record=True,
         )
+
+
+def _stands_at(depth_mm: FloatArray, start: int) -> float:
+    """Depth at which the tool stood before a move, whose first sample may have left it [mm]."""
+    return float(depth_mm[max(start - 1, 0) : start + 1].min())
 
 
 def _meets(force_N: FloatArray, piece: Piece, noise_N: float) -> bool:
