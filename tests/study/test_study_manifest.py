@@ -81,7 +81,7 @@ def test_one_quantity_has_one_key_and_one_unit_inside(tmp_path, table, line, key
         ("[priors.static_1]\nmean = 1\nsd = 1\n", 2, ["did you mean static_1_N_per_mm?"]),
         ("[priors.stiffness_0_b2]\nmean = 1\nsd = 1\n", 2, ["did you mean stiffness_0_N_per_mm_b2?"]),
         ("[priors.viscosity_N_s_per_mm]\nmean = 1\nsd = 1\n", 2, ["K times tau"]),
-        ("[priors.static_1_N_per_mm]\nmean = 1\n", 2, ["static_1_N_per_mm]: sd is missing", "the table"]),
+        ("[priors.static_1_N_per_mm]\nmean = 1\n", 2, ["[priors.static_1_N_per_mm]: sd is missing", "N/mm"]),
         ("[priors.static_1_N_per_mm]\nmean = 1\nsd = 0\n", 4, ["[priors.static_1_N_per_mm] sd", "above 0"]),
         ("[priors.static_1_N_per_mm]\nmean = 1\nsd = '1 kg'\n", 4, ["kg", "N/mm"]),
         ("[priors.static_2_N_per_mm2]\nmean = '1 N/mm'\nsd = 1\n", 3, ["N/mm", "N/mm2"]),

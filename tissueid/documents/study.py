@@ -20,10 +20,10 @@ from tissueid.documents.inspect import Refusal
 
 
 class NormalPrior(Document, frozen=True):
-    """Normal prior of one coefficient, cut to the passive set, in the unit of its name."""
+    """Normal prior of one coefficient, cut to the passive set [N/mm]."""
 
-    mean: float
-    sd: Positive  # Standard deviation in the unit of the table's name, above 0
+    mean: float  # Mean [N/mm]
+    sd: Positive  # Standard deviation [N/mm], above 0
 
 
 class LogNormalPrior(Document, frozen=True):
@@ -55,22 +55,36 @@ class Priors(Document, frozen=True, forbid_unknown_fields=False):
         }
     }
 
+    #: Normal prior of one coefficient, cut to the passive set [N/mm]
     static_1_N_per_mm: NormalPrior | None = None
+    #: Normal prior of one coefficient, cut to the passive set [N/mm^2]
     static_2_N_per_mm2: NormalPrior | None = None
+    #: Normal prior of one coefficient, cut to the passive set [N/mm^3]
     static_3_N_per_mm3: NormalPrior | None = None
+    #: Normal prior of one coefficient, cut to the passive set [N/mm]
     stiffness_0_N_per_mm: NormalPrior | None = None
+    #: Normal prior of one coefficient, cut to the passive set [N/mm^2]
     stiffness_1_N_per_mm2: NormalPrior | None = None
+    #: Normal prior of one coefficient, cut to the passive set [N/mm^3]
     stiffness_2_N_per_mm3: NormalPrior | None = None
+    #: Normal prior of one coefficient, cut to the passive set [N/mm]
     stiffness_0_N_per_mm_b2: NormalPrior | None = None
+    #: Normal prior of one coefficient, cut to the passive set [N/mm^2]
     stiffness_1_N_per_mm2_b2: NormalPrior | None = None
+    #: Normal prior of one coefficient, cut to the passive set [N/mm^3]
     stiffness_2_N_per_mm3_b2: NormalPrior | None = None
+    #: Normal prior of one coefficient, cut to the passive set [N/mm]
     stiffness_0_N_per_mm_b3: NormalPrior | None = None
+    #: Normal prior of one coefficient, cut to the passive set [N/mm^2]
     stiffness_1_N_per_mm2_b3: NormalPrior | None = None
+    #: Normal prior of one coefficient, cut to the passive set [N/mm^3]
     stiffness_2_N_per_mm3_b3: NormalPrior | None = None
     #: One table a branch, by ascending time
     relaxation_time_s: Annotated[tuple[LogNormalPrior, ...], Meta(min_length=1, max_length=3)] | None = None
     sigma_N: LogNormalPrior | None = None  # Log-normal prior of the noise's standard deviation
+    #: Correlation of the noise over one reference step (the commonest sampling step) is uniform between these
     phi: Phi | None = None
+    #: Half-normal prior of how much the gain (its logarithm) varies from log to log
     gain_sd: GainSd | None = None
 
 
@@ -141,6 +155,7 @@ class Population(Document, frozen=True):
     level: LogNormalPrior | None = None  # The same between donors, sites or operators
     #: Shape of the LKJ distribution of the correlations; 1 is uniform
     correlation_shape: Positive | None = None
+    #: Gamma prior of the degrees of freedom of a t distribution, cut to 1 and above
     tails: Tails | None = None
 
 
