@@ -158,6 +158,9 @@ def test_a_damaged_bundle_is_6(two_outs, tmp_path):
     broken = tmp_path / "broken.h5"
     broken.write_bytes(whole[: len(whole) // 2])
     run("validate", broken, code=6, said="broken.h5")
+    out = shutil.copytree(two_outs[0], tmp_path / "out")
+    (out / "bundle.h5").write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    assert run("validate", out).code == 6
 
 
 def test_a_mixed_set_is_6(two_outs, tmp_path):

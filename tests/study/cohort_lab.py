@@ -31,11 +31,8 @@ def write_cohort(folder: Path, specimens: int) -> Path:
 
 
 def numbers_of(out: Path) -> dict[str, Any]:
-    """Everything a run found, without times: the document, and hashes of every curve and draw."""
+    """Everything a run found: the document, and every curve and draw."""
     found: dict[str, Any] = {"document": read_json(out / "identification.json")}
-    for specimen in found["document"]["specimens"]:
-        if specimen["sampler"] is not None:
-            del specimen["sampler"]["detail"]["wall_s"]
     for document, curves, posterior in each_result(out):
         arrays = [getattr(one.curve, name) for one in curves for name in ("time_s", "force_N", "model_N")]
         if posterior is not None:

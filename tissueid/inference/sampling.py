@@ -10,7 +10,6 @@ import contextlib
 import io
 import json
 import sys
-import time
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -240,7 +239,7 @@ def sample(
     progress: Callable[[int, float], None] | None = None,
 ) -> Sampled:
     """Sample a specimen's posterior; ``draws``: effective ones that are asked for."""
-    began, tell = time.perf_counter(), progress or (lambda _count, _share: None)
+    tell = progress or (lambda _count, _share: None)
     rng = np.random.default_rng([seed, 7])
     kept = Checkpoint(checkpoint, key)
     proposal = _proposal(target, rng)
@@ -275,7 +274,6 @@ def sample(
         "effective_draws": most,
         "pareto_k": weighed.pareto,
         "proposals": len(points),
-        "wall_s": time.perf_counter() - began,
     }
     if not converged:
         detail["reason"] = f"{most:.0f} of {draws} effective draws, Pareto k {weighed.pareto:.2f}"

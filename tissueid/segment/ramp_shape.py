@@ -167,7 +167,7 @@ def bin_samples(depth_mm: FloatArray, force_N: FloatArray, *, centre_mm: float, 
 # curve, count less.
 #: Prior standard deviation of what the shape's parts reach at the end of the window, in force ranges of it:
 #: those that begin with a slope, of which kinks are made, and those that bend, which may cancel out in air.
-SLOPE_PRIOR = 11.0
+SLOPE_PRIOR = 10.0
 BEND_PRIOR = 1.0
 #: ... and of the force in air about the first one: in effect none ...
 BASELINE_PRIOR = 100.0
