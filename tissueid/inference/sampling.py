@@ -10,6 +10,7 @@ import contextlib
 import io
 import json
 import sys
+import time
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
