@@ -120,11 +120,11 @@ def rises(before_N: FloatArray, after_N: FloatArray, noise_N: float) -> bool:
 #: nothing there, and they may be a preload, and where it does not.
 FEWEST_AIR_SAMPLES = 5
 FEWEST_ZERO_SAMPLES = 2
-#: Air is believed where the density of a contact at the start is below this share of the highest (3 sd of a
-#: normal one) ...
-START_DENSITY = 0.011
-#: ... or below this one (3.3 sd), where it may be a preload ...
-DOUBTFUL_START_DENSITY = 0.0045
+#: Air is believed where the density of a contact at the start is below this share of the highest (3.9 sd of a
+#: normal one: a toe that stiffens as an exponential does looks like air) ...
+START_DENSITY = 0.0005
+#: ... or below this one (4.1 sd), where it may be a preload ...
+DOUBTFUL_START_DENSITY = 0.0002
 #: ... and, where samples in air are few, where contact lies this many of its sd behind the start.
 FEW_AIR_SD = 6.5
 #: Share of the depth over which the secant of a curved tip is taken.
