@@ -450,6 +450,7 @@ FEW = "coverage 99.8 %: in one ramp of six the first sample is quoted, with an s
 SHORT = {
     Condition(10.0, 0.3): FEW,
     Condition(10.0, 1.0): FEW,
+    Condition(10.0, 3.0): "bias -0.47: as with less noise",
     Condition(100.0, 0.02, start="preloaded"): NO_HOLD,
     Condition(100.0, 0.3, start="preloaded"): NO_HOLD,
     Condition(100.0, 3.0, start="preloaded"): "bias -0.6: as with less noise",
