@@ -22,6 +22,8 @@ from tissueid.store.schema import first_problem
 #: One branch, constant K and no posterior: the quickest fit.
 QUICK = ("--branches", "1", "--stiffness-degree", "0", "--sampler", "none")
 REPOSITORY = Path(__file__).resolve().parents[1]
+#: Where an interpreter of its own finds this package, or a copy of it that is asked for.
+PACKAGES = os.pathsep.join(filter(None, (os.environ.get("PYTHONPATH"), str(REPOSITORY))))
 LOG = REPOSITORY / "datasets_synthetic" / "paper-a-hold-100Hz" / "hold-8-1.csv"
 HEADER_LINES = 6
 #: First line of a study file.
@@ -91,7 +93,7 @@ def start(*args: str | Path, **options: Any) -> subprocess.Popen[str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+        env=os.environ | {"PYTHONPATH": PACKAGES},
         **options,
     )
 
@@ -100,7 +102,7 @@ def python(*args: str | Path, check: bool = True, **environment: str) -> subproc
     """An interpreter of its own that finds this package."""
     return subprocess.run(
         [sys.executable, *map(str, args)],
-        env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | environment,
+        env=os.environ | {"PYTHONPATH": PACKAGES} | environment,
         capture_output=True,
         text=True,
         check=check,

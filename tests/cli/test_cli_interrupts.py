@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cohort_outputs import cohort_folder
-from command_line import QUICK, REPOSITORY, python, read_json, run, start, until, write_log
+from command_line import PACKAGES, QUICK, REPOSITORY, python, read_json, run, start, until, write_log
 from identify_stand_ins import of_prior
 from rendered_tissues import write_bundles
 from test_cli_calibrate import RECIPE
@@ -174,7 +174,7 @@ def test_while_it_is_still_being_loaded(tmp_path):
     )
     begun = "import signal; signal.signal(2, signal.default_int_handler)"
     code = f"{begun}; from tissueid.__main__ import start; start()"
-    done = python("-c", code, check=False, PYTHONPATH=f"{tmp_path}:{REPOSITORY}")
+    done = python("-c", code, check=False, PYTHONPATH=f"{tmp_path}:{PACKAGES}")
     assert (done.returncode, done.stdout) == (130, "")
     assert done.stderr == "\ntissueid: interrupted; nothing was begun\n"
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
-from command_line import REPOSITORY, python
+from command_line import PACKAGES, REPOSITORY, python
 from guarded import FREE
 from numba.core.errors import NumbaError
 from rendered_tissues import PAPER_A, TWO_BRANCHES, pressed, walk
@@ -132,7 +132,7 @@ def test_numba_and_c_agree_bit_for_bit(tmp_path, c_library, seed):
 @pytest.mark.needs_jit
 def test_numba_and_plain_python_agree_bit_for_bit(tmp_path):
     there = tmp_path / "python.npz"
-    folders = os.pathsep.join(map(str, (HERE, HERE.parent, REPOSITORY)))
+    folders = os.pathsep.join(map(str, (HERE, HERE.parent, PACKAGES)))
     python("-c", IN_PYTHON, there, NUMBA_DISABLE_JIT="1", PYTHONPATH=folders)
     found, plain = everything(), np.load(there)
     assert {name: plain[name].tobytes() for name in found} == {

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from command_line import REPOSITORY, python
+from command_line import PACKAGES, REPOSITORY, python
 from fake_device import FakeDevice
 
 from tissueid.errors import DeviceError
@@ -125,7 +125,7 @@ def test_ending_the_interpreter_sends_zero_force():
         "FakeDevice._write = lambda self, force_N: print(force_N.tolist())\n"
         "device = FakeDevice()\ndevice.open()\nraise SystemExit(3)\n"
     )
-    ended = python("-c", program, check=False, PYTHONPATH=f"{REPOSITORY}:{REPOSITORY / 'tests'}")
+    ended = python("-c", program, check=False, PYTHONPATH=f"{PACKAGES}:{REPOSITORY / 'tests'}")
     assert ended.returncode == 3
     assert ended.stdout.splitlines() == ["[0.0, 0.0, 0.0]"] * ZERO_COMMANDS
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import REPOSITORY, python
+from command_line import PACKAGES, python
 from rendered_tissues import PAPER_A, bundle_of
 from session_heads import indentation, records_of
 
@@ -140,7 +140,7 @@ def test_a_law_of_another_distribution_is_rendered_and_says_its_rate(tmp_path: P
     (about / "entry_points.txt").write_text("[tissueid.environments]\nfloor = walls:floor\n")
     log = tmp_path / "out.h5"
     render = ("-m", "tissueid", "render", "--environment", "floor", "--device", "sim", "--seconds", "0.5")
-    shown = python(*render, "--log", log, "--json", PYTHONPATH=f"{tmp_path}:{REPOSITORY}")
+    shown = python(*render, "--log", log, "--json", PYTHONPATH=f"{tmp_path}:{PACKAGES}")
     document = json.loads(shown.stdout)
     assert document["scale"] is None
     # the grip rests 1 mm in the floor: 0.3 N, too much to engage there, so that nothing is felt
