@@ -101,7 +101,7 @@ def start(*args: str | Path, **options: Any) -> subprocess.Popen[str]:
 def python(*args: str | Path, check: bool = True, **environment: str) -> subprocess.CompletedProcess[str]:
     """An interpreter of its own that finds this package."""
     return subprocess.run(
-        [sys.executable, *map(str, args)],
+        [sys.executable, "-P", *map(str, args)],
         env=os.environ | {"PYTHONPATH": PACKAGES} | environment,
         capture_output=True,
         text=True,
