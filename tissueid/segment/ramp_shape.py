@@ -37,6 +37,7 @@ def _static(bins: _Columns, prior: FloatArray, contact: FloatArray, window: floa
     beyond = (depth - contact[:, None]) / window
     z = np.maximum(beyond, 0.0)
     within = (z > 0.0) * (variance / window**2)
+    # the mean of a power over a bin exceeds that of its mean by half its second derivative times the variance
     columns = [z, z * z + within, z * (z * z + 3.0 * within)]
     if prior.size > POWERS:
         root = np.sqrt(z)
@@ -68,7 +69,7 @@ def _products(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, Float
 
 
 class _Squares(NamedTuple):
-    """Least squares of the shape at every (contact, length)."""
+    """Linear coefficients of the shape at every (contact, length), and what is left without them."""
 
     coefficients: FloatArray  # (n, m, k), in their prior sd
     branch: FloatArray  # (n, m), in its prior sd
