@@ -56,6 +56,27 @@ def test_contact_frame_is_zero_at_contact():
     assert force[-1] > 100.0
 
 
+@pytest.mark.parametrize("factor", [1.0, 0.999, 1.7])
+@pytest.mark.parametrize("seed", range(6))
+def test_contact_of_a_specimen_that_slips_and_stiffens(seed, factor):
+    depth_mm = np.arange(2200) * 8.3e-4
+    beyond = np.maximum(depth_mm - 0.142, 0.0)
+    # force falls by 1.5 N every 0.055 mm, and the stiffness is fourfold from 0.39 mm on
+    slips = (beyond > 0.0) * 1.5 * np.mod(beyond / 0.055 + 0.3 * np.sin(9.0 * beyond), 1.0)
+    force_N = 75.0 * beyond + 225.0 * np.maximum(beyond - 0.39, 0.0) - slips
+    force_N += np.random.default_rng(seed).normal(0.0, 0.01, depth_mm.size)
+    found = fit_contact(
+        depth_mm,
+        factor * force_N,
+        noise_N=0.003 * factor,
+        baseline=True,
+        reach_back_mm=0.0,
+        noise_samples=depth_mm.size,
+    )
+    assert found.sd_mm < 0.015
+    assert abs(found.contact_mm - 0.142) < 2.0 * found.sd_mm
+
+
 def test_force_that_never_rises_is_no_contact():
     rng = np.random.default_rng(6)
     time_s = np.arange(0.0, 4.0, 0.01)

@@ -127,6 +127,8 @@ SHORTEST = 0.02
 LONGEST = 0.3
 #: A window is accepted where chi-square exceeds its degrees of freedom by at most so many of its sd.
 ADEQUATE_SD = 3.0
+#: ... and one that it describes in none is denied by a shorter one whose contact lies so many sd away.
+DENIED_SD = 3.0
 #: Shares of the ramp tried, longest first.
 WINDOWS = (1.0, 0.5, 0.25, 0.12, 0.06)
 #: Times the bins are laid anew around a better contact.
@@ -222,8 +224,16 @@ def fit_contact(
 
 
 def _least_wrong(found: list[HingeFit]) -> HingeFit:
-    """Of windows none of which the shape describes, the one with the smallest sd."""
-    k = min(range(len(found)), key=lambda at: found[at].sd_mm)
+    """Of windows that no shape describes, the one with the smallest sd that no shorter one denies."""
+    agreeing = [
+        at
+        for at, one in enumerate(found)
+        if all(
+            abs(one.contact_mm - other.contact_mm) <= DENIED_SD * np.hypot(one.sd_mm, other.sd_mm)
+            for other in found[at + 1 :]
+        )
+    ]
+    k = min(agreeing, key=lambda at: found[at].sd_mm)
     beside = found[min(k + 1, len(found) - 1)]
     apart = abs(found[k].contact_mm - beside.contact_mm)
     return replace(found[k], sd_mm=float(np.hypot(found[k].sd_mm, apart)))
