@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -379,51 +380,60 @@ def _resting(u: FloatArray) -> int:
     return max(1, int(np.argmin(u <= u[0] + STANDING_SHARE * float(u.max() - u[0]))))
 
 
+class _Before(NamedTuple):
+    """Contact of a ramp that begins in contact."""
+
+    contact_mm: float
+    sd_mm: float
+    ahead_N: float  # force at the first sample, above the zero of the load cell
+    believed: bool  # whether it lies before that sample
+
+
+def _extrapolated(approach: _Approach, f: FloatArray, ahead: float, relaxing: float | None) -> _Before:
+    """Contact that the force at the first sample and the ramp behind it tell."""
+    u, noise_N = approach.depth_mm, approach.noise_N
+    start, few = float(u[0]), _resting(u)
+    if u.size < FEWEST_SAMPLES:
+        slope = max(float(f[-1] - f[0]) / max(float(u.max() - start), 1e-300), 1e-300)
+        sd = max(noise_N / slope, 0.3 * float(np.ptp(u)) / u.size)
+        return _Before(start - ahead / slope, sd, ahead, ahead > PRELOAD_SD * noise_N / np.sqrt(few))
+    back = REACH * (max(ahead, 0.0) + REACH_SD * noise_N) / _least_slope(u, f, approach.air)
+    back = min(back, 2.0 * float(u.max() - start))
+    fit = fit_contact(
+        u, f, noise_N=noise_N, noise_samples=approach.noise_samples, baseline=False, reach_back_mm=back
+    )
+    contact_mm, sd = fit.contact_mm, fit.sd_mm
+    if few < FEWEST_RESTING:
+        # the whole ramp says more of the force it starts from, which is below its middle, than a sample
+        says = fit.slope_N_per_mm * (start - contact_mm)
+        ahead = max(ahead, min(says, float(np.median(f))))
+    if contact_mm < start:
+        stiffness = (fit.secant_N_per_mm, fit.relaxing_share)
+        before, sd = with_relaxed(start - contact_mm, sd, ahead, stiffness, relaxing, back)
+        contact_mm = start - before
+    return _Before(contact_mm, sd, ahead, fit.at_start < PRELOAD_DENSITY)
+
+
 def _start_in_contact(
     approach: _Approach, *, signs: tuple[int, int], relaxing: float | None
 ) -> tuple[Contact, list[Flag]]:
     """No air in the record: the contact is the first sample, or lies before it."""
-    u, f, air, noise_N = approach.depth_mm, approach.force_N, approach.air, approach.noise_N
+    u, f, air = approach.depth_mm, approach.force_N, approach.air
     compression, force_sign = signs
-    start = float(u[0])
-    few = _resting(u)
-    ahead = float(f[:few].mean())
-    zero = 0.0
-    if few >= FEWEST_ZERO_SAMPLES and ahead < -PRELOAD_SD * noise_N / np.sqrt(few):
+    start, few, zero = float(u[0]), _resting(u), 0.0
+    measured = float(f[:few].mean())
+    if few >= FEWEST_ZERO_SAMPLES and measured < -PRELOAD_SD * approach.noise_N / np.sqrt(few):
         # a tool at rest cannot be pulled by the tissue: this is where the load cell's zero lies
-        zero, ahead, f = ahead, 0.0, f - ahead
-    measured, back = ahead, 0.0
-    if u.size >= FEWEST_SAMPLES:
-        back = REACH * (max(ahead, 0.0) + REACH_SD * noise_N) / _least_slope(u, f, air)
-        back = min(back, 2.0 * float(u.max() - start))
-        fit = fit_contact(
-            u,
-            f,
-            noise_N=noise_N,
-            noise_samples=approach.noise_samples,
-            baseline=False,
-            reach_back_mm=back,
-        )
-        contact_mm, sd, believed = fit.contact_mm, fit.sd_mm, fit.at_start < PRELOAD_DENSITY
-        if few < FEWEST_RESTING:
-            # the whole ramp says more of the force it starts from, which is below its middle, than a sample
-            says = fit.slope_N_per_mm * (start - contact_mm)
-            ahead = max(ahead, min(says, float(np.median(f))))
-        if contact_mm < start:
-            stiffness = (fit.secant_N_per_mm, fit.relaxing_share)
-            before, sd = with_relaxed(start - contact_mm, sd, ahead, stiffness, relaxing, back)
-            contact_mm = start - before
-    else:
-        slope = max(float(f[-1] - f[0]) / max(float(u.max() - start), 1e-300), 1e-300)
-        believed = ahead > PRELOAD_SD * noise_N / np.sqrt(few)
-        contact_mm, sd = start - ahead / slope, max(noise_N / slope, 0.3 * float(np.ptp(u)) / u.size)
+        zero, measured, f = measured, 0.0, f - measured
+    before = _extrapolated(approach, f, measured, relaxing)
     flags: list[Flag] = []
-    if believed and ahead > PRELOAD_SHARE * float(np.ptp(f)) and contact_mm < start:
-        contact = Contact(index=0, displacement_mm=compression * contact_mm, sd_mm=sd)
-        flags.append(_preload(measured, ahead, start - contact_mm, sd))
+    loaded = before.ahead_N > PRELOAD_SHARE * float(np.ptp(f))
+    if before.believed and loaded and before.contact_mm < start:
+        contact = Contact(index=0, displacement_mm=compression * before.contact_mm, sd_mm=before.sd_mm)
+        flags.append(_preload(measured, before.ahead_N, start - before.contact_mm, before.sd_mm))
     else:
         # the first sample is quoted, so its distance from what the force says is part of its sd
-        sd = float(np.hypot(sd, contact_mm - start))
+        sd = float(np.hypot(before.sd_mm, before.contact_mm - start))
         step = float(u[min(few, u.size - 1)]) - start
         if few >= FEWEST_RESTING and step > UNCERTAIN_SHARE * float(np.ptp(u)):
             # a tool that stands and then jumps may have met the tissue anywhere on its way
