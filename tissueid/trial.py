@@ -8,6 +8,7 @@ met the tissue and what the load cell read in air are decisions, and they live i
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -237,6 +238,12 @@ class Contact:
     sd_mm: float  # standard deviation of that displacement [mm]
     baseline_N: float = 0.0  # load-cell reading in air [N] as recorded; 0 where there are no samples in air
     in_record: bool = False  # true where the recording shows the tool in air before contact
+    moved_mm: float = 0.0  # how far from here the tool met the tissue after loops, which ``sd_mm`` holds
+
+    @property
+    def first_sd_mm(self) -> float:
+        """Standard deviation of the place where the tool first met the tissue [mm]."""
+        return math.sqrt(max(self.sd_mm**2 - self.moved_mm**2, 0.0))
 
 
 @dataclass(frozen=True, slots=True)

@@ -221,7 +221,9 @@ def test_a_contact_after_loops_that_let_go_knows_of_the_first_one(moved_mm):
     force = np.maximum(travel - surface, 0.0) + 0.005 * np.random.default_rng(3).normal(size=time.size)
     found = segment(Trial("loops", time, travel, force))
     assert kinds(found)[-4:] == ["rest", "approach", "ramp", "hold"]
-    assert found.contact.displacement_mm == pytest.approx(1.0 + moved_mm, abs=0.03)
+    # the first one is the tissue's, the other's distance its sd: nobody knows whether it comes back
+    assert found.contact.displacement_mm == pytest.approx(1.0, abs=0.03)
+    assert abs(found.contact.displacement_mm - 1.0 - moved_mm) < 2.0 * found.contact.sd_mm
     told = "contact_uncertain" in codes(found)
     assert told is (found.contact.sd_mm > 0.2) is (moved_mm > 0.0)
 

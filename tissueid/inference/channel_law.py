@@ -443,16 +443,11 @@ def with_speed_ratio(trial: Trial, segmentation: Segmentation, log: FittedLog) -
     ratio = ratio[measured[nearest.astype(np.int64)]]
     first, stop = min(log.first, measured[0]), log.first + log.data.time_s.size - int(log.inserted)
     rows, include = slice(first, stop), np.isfinite(speed[first:stop])
-    data = LogData(
-        time_s=np.ascontiguousarray(trial.time_s[rows]),
-        depth_mm=np.ascontiguousarray(depth[rows]),
-        force_N=np.ascontiguousarray(force[rows]),
-        include=include,
-        fold=np.zeros(include.size, dtype=np.int64),
-        breaks=chain_breaks(trial.time_s[rows]),
-        speed_ratio=np.ascontiguousarray(ratio[rows]),
-    )
-    return replace(log, data=data, first=int(first), inserted=False, n_samples=int(include.sum()))
+    time, folds = trial.time_s[rows], np.zeros(include.size, dtype=np.int64)
+    breaks, ratio = chain_breaks(time), ratio[rows]
+    data = LogData(time, depth[rows], force[rows], include, folds, breaks=breaks, speed_ratio=ratio)
+    kept = int(include.sum())
+    return replace(log, data=data, first=int(first), inserted=False, n_samples=kept, tool_mm=None)
 
 
 def _speeds(time: FloatArray, depth: FloatArray, segmentation: Segmentation) -> FloatArray:

@@ -10,87 +10,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.inference.blocks import Blocks, log_blocks
 from tissueid.inference.channel_law import with_speed_ratio
-from tissueid.inference.window import FittedLog, LogData, assign_folds, first_turn, fitted_log, with_holds_cut
-from tissueid.model.channels import ChannelModel
+from tissueid.inference.window import (
+    FittedLog,
+    FreeSurface,
+    LogData,
+    assign_folds,
+    fitted_log,
+    with_holds_cut,
+)
 from tissueid.model.grammar import Candidates
 from tissueid.trial import Segmentation, Trial
-
-#: Measured force, over the peak and in standard deviations of its noise, below which the tool is in air.
-AIR_SHARE, AIR_SD = 0.01, 3.0
-#: Samples of the running mean that is compared with it; shorter stays in air or contact are noise.
-SMOOTHED = 5
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FreeSurface:
-    """The law that says where the surface of one log stands."""
-
-    model: ChannelModel
-    theta: FloatArray  # (p,), passive
-    offset_mm: float = 0.0  # contact offset of the log against its contact frame
-
-    def follow(self, time_s: FloatArray, tool_mm: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Depth of the surface [mm] in the frame of the log, and whether the tool touches it."""
-        law_mm = tool_mm - self.offset_mm
-        surface, _ = self.model.follow(self.theta, time_s, law_mm)
-        return surface + self.offset_mm, surface <= law_mm
-
-
-def air_limit(force_N: FloatArray, noise_N: float) -> float:
-    """Mean force over :data:`SMOOTHED` samples below which the tool counts as in air [N]."""
-    return max(AIR_SHARE * float(force_N.max()), AIR_SD * noise_N / float(np.sqrt(SMOOTHED)))
-
-
-def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Stretches ``[first, last)`` of true."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-
-
-def _measured_surface(
-    time_s: FloatArray, tool_mm: FloatArray, force_N: FloatArray, turn: int, noise_N: float
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """The first path: in air where the force says so, the surface moving evenly from loss to contact."""
-    limit = air_limit(force_N, noise_N)
-    mean = np.convolve(force_N, np.ones(SMOOTHED) / SMOOTHED, mode="same")
-    air = (mean < limit) & (np.arange(force_N.size) >= turn)
-    for first, last in _runs(~air):
-        if first > 0 and last - first < SMOOTHED:
-            air[first:last] = True
-    surface = tool_mm.copy()
-    for first, last in _runs(air):
-        if last - first < SMOOTHED:
-            air[first:last] = False
-            continue
-        end = tool_mm[first - 1] if last == tool_mm.size else tool_mm[last]
-        knots = time_s[[first - 1, min(last, time_s.size - 1)]]
-        between = np.interp(time_s[first:last], knots, [tool_mm[first - 1], end])
-        surface[first:last] = np.maximum(between, tool_mm[first:last])
-    return surface, ~air
-
-
-def with_unloading(segmentation: Segmentation, log: FittedLog, surface: FreeSurface | None) -> FittedLog:
-    """A whole log on its surface's path, the samples in air left out; without one, as the force tells."""
-    data = log.data
-    tool = data.depth_mm
-    if surface is None:
-        ahead = log.first - int(log.inserted)
-        depth = np.concatenate([np.full(ahead, tool[0]), tool])
-        turn = first_turn(segmentation, depth, log.first) - ahead
-        path, touching = _measured_surface(data.time_s, tool, data.force_N, turn, segmentation.force_noise_N)
-    else:
-        path, touching = surface.follow(data.time_s, tool)
-    include = data.include & touching
-    there = replace(data, depth_mm=np.ascontiguousarray(path), include=include)
-    return replace(log, data=there, n_samples=int(include.sum()), tool_mm=tool)
-
 
 #: Code of a log without a contact that its law could follow.
 NO_CONTACT = "no_contact"
@@ -117,12 +49,10 @@ class LogHandle:
 
     def window(self, trial: Trial, segmentation: Segmentation, *, guard: bool = False) -> FittedLog | None:
         """The part of a trial that is fitted under a segmentation; ``None`` where there is none."""
-        log = fitted_log(trial, segmentation, guard=guard, whole=self.unloading)
+        log = fitted_log(trial, segmentation, guard=guard, whole=self.unloading, surface=self.surface)
         if log is not None and self.follows_speed:
             return with_speed_ratio(trial, segmentation, log)
-        if log is None or not self.unloading:
-            return log
-        return with_unloading(segmentation, log, self.surface)
+        return log
 
     def own_window(self, trial: Trial) -> FittedLog | None:
         """The part of its trial; as it is where the guard zone swallows a very shallow log."""

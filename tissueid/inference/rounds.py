@@ -16,18 +16,18 @@ from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.inference.engine import Identified
 from tissueid.inference.estimates import TissueEstimate
-from tissueid.inference.logs import FreeSurface, LogHandle, air_limit
+from tissueid.inference.logs import LogHandle
 from tissueid.inference.trials import Adjustment
-from tissueid.inference.window import FittedLog
+from tissueid.inference.window import FreeSurface, air_limit
 
-#: Rounds, and the change of the parameters, in standard errors, that counts as none; rounds after which steps
-#: are halved: they may go back and forth over a sample that is in contact or not.
-MAX_ROUNDS, SETTLED_SD, DAMPED_AFTER = 12, 0.05, 3
+#: Rounds; changes of the parameters, in standard errors, that count as none and as too much; rounds after
+#: which steps are halved: they may go back and forth over a sample that is in contact or not.
+MAX_ROUNDS, SETTLED_SD, ROUGH_SD, DAMPED_AFTER = 12, 0.05, 0.5, 3
 #: Root mean square of the residual in air, over that in contact, beyond which the law of contact loss fails.
 AIR_MISFIT = 3.0
 
 
-Identify = Callable[[Sequence[LogHandle]], tuple[Identified, list[FittedLog]]]
+Identify = Callable[[Sequence[LogHandle]], tuple[Identified, list[LogHandle]]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +36,6 @@ class Followed:
 
     handles: list[LogHandle]
     identified: Identified
-    facts: list[FittedLog]
     rounds: int
     change_sd: float  # largest change of a shared parameter in the last round, in its standard errors
 
@@ -44,17 +43,6 @@ class Followed:
     def settled(self) -> bool:
         """True where the last round changed nothing."""
         return self.change_sd < SETTLED_SD
-
-
-def unloading_handles(handles: Sequence[LogHandle]) -> list[LogHandle]:
-    """The same logs to their ends, contact loss read off the measured force."""
-    return [_refreshed(replace(handle, unloading=True, surface=None)) for handle in handles]
-
-
-def _refreshed(handle: LogHandle) -> LogHandle:
-    """A handle with the facts of the part it fits now."""
-    _, log = handle.fitted()
-    return replace(handle, facts=log.without_samples())
 
 
 def _surfaces(found: Identified) -> list[FreeSurface]:
@@ -84,11 +72,9 @@ def _moved(before: Identified, now: Identified) -> float:
 
 
 def follow_surfaces(
-    handles: Sequence[LogHandle], identify: Identify, tick: Callable[[str], None]
+    found: Identified, current: list[LogHandle], identify: Identify, tick: Callable[[str], None]
 ) -> Followed:
-    """Fit logs from :func:`unloading_handles` on the paths of their own surfaces."""
-    current = list(handles)
-    found, facts = identify(current)
+    """Fit logs on the paths of their own surfaces; ``found``: on those that the measured force tells."""
     change, count = float("inf"), 0
     for count in range(1, MAX_ROUNDS + 1):
         tick(f"free surface, round {count}")
@@ -97,12 +83,20 @@ def follow_surfaces(
             pairs = zip(surfaces, current, strict=True)
             surfaces = [_halfway(surface, handle.surface) for surface, handle in pairs]
         on = zip(current, surfaces, strict=True)
-        current = [_refreshed(replace(handle, surface=surface)) for handle, surface in on]
-        after, facts = identify(current)
+        after, current = identify([replace(handle, surface=surface) for handle, surface in on])
         change, found = _moved(found, after), after
         if change < SETTLED_SD:
             break
-    return Followed(handles=current, identified=found, facts=facts, rounds=count, change_sd=change)
+    return Followed(handles=current, identified=found, rounds=count, change_sd=change)
+
+
+def unsettled(followed: Followed | None) -> tuple[Flag, ...]:
+    """Flag of a test after loops whose surface between them went on changing."""
+    if followed is None or followed.change_sd < ROUGH_SD:
+        return ()
+    moved = f"a parameter still moved by {followed.change_sd:.2g} standard errors"
+    words = f"the surface between loops did not settle in {followed.rounds} rounds: {moved}"
+    return (Flag("unloading_not_settled", words, {"change_sd": followed.change_sd}),)
 
 
 def _residuals(

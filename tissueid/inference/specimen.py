@@ -22,7 +22,7 @@ from tissueid.inference.frame_effect import machine_flag
 from tissueid.inference.logs import LogHandle, blocks_of, speed_handles
 from tissueid.inference.quoted import EQUALLY_LONG, depth_test, quoted_numbers, with_form, with_moduli
 from tissueid.inference.residual_blocks import sandwich_covariance
-from tissueid.inference.rounds import Followed, follow_surfaces, unloading_handles, unloading_verdict
+from tissueid.inference.rounds import Followed, follow_surfaces, unloading_verdict, unsettled
 from tissueid.inference.second_looks import relaxation_window, settled
 from tissueid.inference.summaries import Known, Look, Summaries, second_pass
 from tissueid.inference.system import Point
@@ -135,16 +135,16 @@ def fit_with_state(
 
 def identify_handles(
     handles: Sequence[LogHandle], request: Request, tick: Callable[[str], None]
-) -> tuple[Identified, list[FittedLog]]:
-    """Load the logs once, as blocks, and choose and fit their law."""
-    blocks, facts, seen = [], [], []
+) -> tuple[Identified, list[LogHandle]]:
+    """Load the logs once, as blocks, and choose and fit their law; the same logs with what is fitted now."""
+    blocks, fresh, seen = [], [], []
     for handle in handles:
         trial, log = handle.fitted()
         tick(f"reading {trial.name}")
         blocks.append(blocks_of(handle, log))
-        facts.append(log.without_samples())
+        fresh.append(replace(handle, facts=log.without_samples()))
         seen.append(log_evidence(trial, handle.segmentation, log))
-    return identify_logs(blocks, facts, seen, request, tick), facts
+    return identify_logs(blocks, [one.facts for one in fresh], seen, request, tick), fresh
 
 
 def force_along(
@@ -205,7 +205,6 @@ class _Found:
 
     specimen: str
     handles: tuple[LogHandle, ...]
-    facts: list[FittedLog]
     identified: Identified
     followed: Followed | None
     optimisers: dict[str, Any]
@@ -232,12 +231,13 @@ class _Found:
         )
         quoted_of = partial(self._quoted, told)
         quoted, said = quoted_of(here) if found.quotable else (None, [])
-        flags, unloading, missed = (*self._flags(here, told, point), *said), None, None
-        if self.followed is None:
+        flags, unloading, missed = (*self._flags(here, told, point), *said, *self.moved), None, None
+        if self.followed is None or not self.options.unloading:
             missed = unloading_miss(found, self.handles, point)
+            flags = (*flags, *unsettled(self.followed))
         else:
             unloading, more = unloading_verdict(self.followed, here, adjustments, sigma_N=self.noise.sigma_N)
-            flags = (*flags, *more, *self.moved)
+            flags = (*flags, *more)
         fit = replace(
             self._told(here, told), flags=_one_form(flags),
             unloading=unloading, quoted=quoted, unloading_predicted=missed,
@@ -250,8 +250,9 @@ class _Found:
         found, noise = self.identified, self.noise
         own: Sequence[Flag] = ()
         if found.quotable:
+            facts = [one.facts for one in self.handles]
             own = specimen_flags(
-                here, self.facts, told.trials, sigma_N=noise.sigma_N, optimisers=self.optimisers,
+                here, facts, told.trials, sigma_N=noise.sigma_N, optimisers=self.optimisers,
                 noise=None if noise.discrepant else noise.model,
             )  # fmt: skip
         return (
@@ -268,7 +269,8 @@ class _Found:
         """Numbers that are derived from a tissue, with errors of its covariance, and flags of them."""
         geometry = self.options.geometry
         slope, drains = depth_test(geometry, *_equal_holds(told))
-        step, length = min(log.step_s for log in self.facts), max(log.duration_s for log in self.facts)
+        facts = [one.facts for one in self.handles]
+        step, length = min(log.step_s for log in facts), max(log.duration_s for log in facts)
         frequencies = self.options.frequencies_Hz
         holds = [one.holds for one in told.looks]
         plain = quoted_numbers(tissue, holds, step_s=step, duration_s=length, frequencies_Hz=frequencies)
@@ -281,7 +283,8 @@ class _Found:
 
     def _told(self, here: TissueEstimate, told: Summaries) -> SpecimenFit:
         """The numbers of the fit; what is quoted and to be said of them is added."""
-        found, speeds = self.identified, [one for log in self.facts for one in log.speeds_mm_s if one > 0.0]
+        found, facts = self.identified, [one.facts for one in self.handles]
+        speeds = [one for log in facts for one in log.speeds_mm_s if one > 0.0]
         return SpecimenFit(
             specimen=self.specimen,
             model=_choice_of(found, here, "shared" if len(self.handles) == 1 else self.options.static),
@@ -333,14 +336,17 @@ def _fit(
     tick: Callable[[str], None],
 ) -> FittedSpecimen:
     """Identify a specimen, and describe it at its optimum."""
-    followed, loading = None, handles
+    followed: Followed | None = None
+    loading, identify = handles, partial(identify_handles, request=request, tick=tick)
     if options.unloading:
-        identify = partial(identify_handles, request=request, tick=tick)
-        followed = follow_surfaces(unloading_handles(handles), identify, tick)
-        handles, identified, facts = followed.handles, followed.identified, followed.facts
+        first = identify([replace(one, unloading=True) for one in handles])
+        followed = follow_surfaces(*first, identify, tick)
     else:
-        handles = speed_handles(handles, request.candidates)
-        identified, facts = identify_handles(handles, request, tick)
+        identified, handles = identify(speed_handles(handles, request.candidates))
+        if identified.law.model_of is None and any(one.facts.tool_mm is not None for one in handles):
+            followed = _remembered(identified, handles, tick)
+    if followed is not None:
+        identified, handles = followed.identified, followed.handles
     tick("Levenberg-Marquardt")
     identified, optimisers = settled(identified)
     tissue = estimate_tissue(identified)
@@ -349,7 +355,6 @@ def _fit(
     found = _Found(
         specimen=specimen,
         handles=tuple(handles),
-        facts=facts,
         identified=identified,
         followed=followed,
         optimisers=optimisers,
@@ -358,9 +363,32 @@ def _fit(
         window=relaxation_window(handles, identified, tick) if relaxes else None,
         options=options,
         tick=tick,
-        moved=() if followed is None else _moved_by_unloading(loading, identified, tick),
+        moved=_moved_by_unloading(loading, identified, tick) if options.unloading else (),
     )
     return found.at(identified.optimum.point)
+
+
+#: Contact sd by which a fit moves a contact that then has set.
+SET_SD = 3.0
+
+
+def _remembered(found: Identified, handles: list[LogHandle], tick: Callable[[str], None]) -> Followed:
+    """Tests after loops that let go, on the surface that comes back in between under the law found.
+
+    A contact that the fit moves far from where it was first met has set: its prior is widened.
+    """
+    order = replace(found.request, branches=(found.law.branches,), degrees=(found.law.degree,))
+    identify = partial(identify_handles, request=order, tick=tick)
+    followed = follow_surfaces(found, handles, identify, tick)
+    at = adjustments_of(followed.identified, handles, followed.identified.optimum.point)
+    met = [(one, one.segmentation.contact) for one in handles]
+    wide = [replace(one, contact_sd_mm=contact.sd_mm) for one, contact in met if contact is not None]
+    known = [(one.contact_sd_mm, new.contact_sd_mm) for one, new in zip(handles, wide, strict=True)]
+    far = [abs(one.contact_offset_mm) / SET_SD for one in at]
+    if any(tight < min(by, sd) for by, (tight, sd) in zip(far, known, strict=True)):
+        return _remembered(*identify_handles(wide, found.request, tick), tick)
+    same = replace(followed.identified, table=found.table, as_good=found.as_good, rivals=found.rivals)
+    return replace(followed, identified=same)
 
 
 def _worth(found: Identified) -> float:

@@ -1,7 +1,8 @@
 """Fitted samples of a trial, in the contact frame.
 
 From contact to the end of the last ramp or hold before the tool first turns back, or to the first rupture.
-Cycles before a test take no part; where the tool stayed in contact, the state is carried through them.
+Cycles before a test take no part, but their state is carried on: on the tool's path while it touches, on
+that of the surface which comes back where it has let go.
 Samples within three sd of a contact that was found, or at the limit of the cell, are not in the likelihood.
 """
 
@@ -9,12 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.measured.pushes import usable_until
+from tissueid.model.channels import ChannelModel
 from tissueid.trial import RENDERED, Phase, Segmentation, Trial, contact_frame
 
 #: Contact standard deviations below contact that stay out of the likelihood.
@@ -25,7 +28,12 @@ MIN_SAMPLES = 6
 ONE_SPEED, ONE_DEPTH = 1.2, 1.2
 #: Held-out groups of a specimen with one log, and stretches a phase is cut into for them.
 FOLDS, STRETCHES = 6, 24
-UNLOADING = ("retract",)
+#: Measured force, over the peak and in standard deviations of its noise, below which the tool is in air.
+AIR_SHARE, AIR_SD = 0.01, 3.0
+#: Samples of the running mean that is compared with it; shorter stays in air or contact are noise.
+SMOOTHED = 5
+#: Depth, over the largest, that a surface is back at.
+LEAST_BACK = 1e-3
 #: Steps whose median a step is compared with: the first step of a new rate sees five of its own nine.
 AROUND = 9
 #: A regular clock keeps its step to this factor (time stamps are printed with more digits than that) ...
@@ -68,8 +76,8 @@ class FittedLog:
     speeds_mm_s: tuple[float, ...]  # loading speeds of its ramps
     has_hold: bool  # of a depth, or of a load
     n_samples: int  # samples that take part in the likelihood
-    #: (n,): depth of the tool where unloading is fitted: ``data.depth_mm`` is then that of the tissue's
-    #: surface, which a tool that lets go leaves behind.
+    #: (n,): depth of a tool that turned back and may have let go: ``data.depth_mm`` is then that of the
+    #: surface that it leaves behind.
     tool_mm: FloatArray | None = None
 
     def without_samples(self) -> FittedLog:
@@ -80,7 +88,8 @@ class FittedLog:
             data.time_s[ends], data.depth_mm[ends], data.force_N[ends], data.include[ends], data.fold[ends],
             None if data.breaks is None else data.breaks[ends],
         )  # fmt: skip
-        return replace(self, data=kept, tool_mm=None)
+        tool = None if self.tool_mm is None else self.tool_mm[ends]
+        return replace(self, data=kept, tool_mm=tool)
 
     @property
     def duration_s(self) -> float:
@@ -129,20 +138,70 @@ def first_turn(segmentation: Segmentation, depth: FloatArray, first: int) -> int
         if phase.kind == "cycle":
             peak = phase.start + int(np.argmax(depth[phase.start : phase.stop]))
             return min(max(last, peak + 1), stop)
-        if phase.kind in UNLOADING:
+        if phase.kind == "retract":
             return min(max(last, phase.start + 1), stop)
         last = phase.stop
     return min(last, stop) if last > first else stop
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeSurface:
+    """The law that says where the surface of one log stands."""
+
+    model: ChannelModel
+    theta: FloatArray  # (p,), passive
+    offset_mm: float = 0.0  # contact offset of the log against its contact frame
+
+    def follow(self, time_s: FloatArray, tool_mm: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Depth of the surface [mm] in the frame of the log, and whether the tool touches it."""
+        law_mm = tool_mm - self.offset_mm
+        surface, _ = self.model.follow(self.theta, time_s, law_mm)
+        return surface + self.offset_mm, surface <= law_mm
+
+
+def air_limit(force_N: FloatArray, noise_N: float) -> float:
+    """Mean force over :data:`SMOOTHED` samples below which the tool counts as in air [N]."""
+    return max(AIR_SHARE * float(force_N.max()), AIR_SD * noise_N / float(np.sqrt(SMOOTHED)))
+
+
+def _measured_surface(
+    time_s: FloatArray, tool_mm: FloatArray, *, force_N: FloatArray, turn: int, noise_N: float
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """The first path: in air where the force says so, the surface coming back as an exponential does."""
+    # imported here as in :func:`chain_breaks`
+    from scipy.ndimage import find_objects, label, median_filter
+
+    mean = np.convolve(force_N, np.ones(SMOOTHED) / SMOOTHED, mode="same")
+    air = (mean < air_limit(force_N, noise_N)) & (np.arange(force_N.size) >= turn)
+    air = median_filter(air, 2 * SMOOTHED - 1, mode="nearest")
+    surface, least = tool_mm.copy(), LEAST_BACK * float(np.abs(tool_mm).max())
+    for (run,) in find_objects(label(air)[0]):
+        ends = np.array([max(run.start - 1, 0), min(run.stop, tool_mm.size - 1)])
+        ends_mm = tool_mm[[ends[0], ends[0] if run.stop == tool_mm.size else ends[1]]]
+        ln_mm = np.interp(time_s[run], time_s[ends], np.log(np.maximum(ends_mm, least)))
+        surface[run] = np.maximum(np.exp(ln_mm), tool_mm[run])
+    return surface, ~air
+
+
+def _crossed(time_s: FloatArray, depth_mm: FloatArray, *, exact: bool) -> float:
+    """Time at which a tool crosses the surface between two samples; a rendered law starts from the first."""
+    share = 1.0 if exact else depth_mm[1] / (depth_mm[1] - depth_mm[0])
+    return float(time_s[1] - share * (time_s[1] - time_s[0]))
+
+
 def fitted_log(
-    trial: Trial, segmentation: Segmentation, *, guard: bool = False, whole: bool = False
+    trial: Trial,
+    segmentation: Segmentation,
+    *,
+    guard: bool = False,
+    whole: bool = False,
+    surface: FreeSurface | None = None,
 ) -> FittedLog | None:
     """The fitted part of a trial, or ``None`` where there is nothing to fit.
 
     ``guard``: leave the neighbourhood of contact out even where the record seems to start in contact,
     which may have begun after its first sample; ``whole``: to the end of the recording, unloading and
-    all.
+    all; ``surface``: a law that follows it, else the force tells.
     """
     contact = segmentation.contact
     if contact is None:
@@ -154,16 +213,22 @@ def fitted_log(
     time, x, f = trial.time_s[first:last], depth[first:last], force[first:last]
     limits = [flag.values["force_N"] for flag in trial.flags if flag.code == "clipped_force"]
     include = (np.arange(first, last) >= begins) & ~np.isin(trial.force_N[first:last], limits)
-    if contact.in_record or guard:
+    if (contact.in_record or guard) and begins <= first:
         include &= x >= GUARD_SD * contact.sd_mm
     exact = trial.protocol.kind == RENDERED
     inserted = contact.in_record and 0 < first < depth.size and bool(depth[first] > 0.0 >= depth[first - 1])
     if inserted:
-        # a rendered law starts from the surface, a tick before it is crossed
-        share = 1.0 if exact else depth[first] / (depth[first] - depth[first - 1])
-        start = trial.time_s[first] - share * (trial.time_s[first] - trial.time_s[first - 1])
+        start = _crossed(trial.time_s[first - 1 : first + 1], depth[first - 1 : first + 1], exact=exact)
         time, x, f = np.append(start, time), np.append(0.0, x), np.append(0.0, f)
         include = np.append(False, include)
+    tool, ahead = None, first - int(inserted)
+    if whole or begins > first:
+        # a tool that lets go leaves a surface behind, which comes back, and which the states follow
+        turned = min([turn, *(one.peak for one in segmentation.phases if one.peak is not None)]) - ahead
+        by_force = partial(_measured_surface, force_N=f, turn=turned, noise_N=segmentation.force_noise_N)
+        path, touching = (by_force if surface is None else surface.follow)(time, x)
+        tool = x if whole or not touching.all() else None
+        x, include = path, include & touching
     steps = np.diff(time[1:] if inserted else time)
     positive = steps[steps > 0.0]
     depth_mm = float(x[include].max(initial=0.0))
@@ -172,25 +237,19 @@ def fitted_log(
     earliest = max(first, begins)
     inside = [one for one in segmentation.phases if earliest < one.stop and one.start < last - 1]
     speeds = tuple(phase.speed_mm_s for phase in inside if phase.kind == "ramp")
-    data = LogData(
-        time_s=np.ascontiguousarray(time),
-        depth_mm=np.ascontiguousarray(x),
-        force_N=np.ascontiguousarray(f),
-        include=include,
-        fold=np.zeros(time.size, dtype=np.int64),
-        breaks=chain_breaks(time),
-        exact=exact,
-    )
+    folds = np.zeros(time.size, dtype=np.int64)
+    data = LogData(time, x, f, include, folds, breaks=chain_breaks(time), exact=exact)
     return FittedLog(
         data=data,
         first=first,
         inserted=inserted,
-        contact_sd_mm=contact.sd_mm,
+        contact_sd_mm=contact.first_sd_mm,
         depth_mm=depth_mm,
         step_s=float(np.median(positive)),
         speeds_mm_s=speeds or (_mean_speed(time, x[: max(turn - first, 2)]),),
         has_hold=any(phase.kind in ("hold", "creep") for phase in inside),
         n_samples=int(include.sum()),
+        tool_mm=tool,
     )
 
 

@@ -20,12 +20,8 @@ def deflection_basis(knots_N: FloatArray, force_N: FloatArray) -> FloatArray:
     beyond = np.maximum(force_N - knots_N[-1], 0.0)
     rows = np.arange(force_N.size)
     # whole pieces below the one the force lies in: half a width to each of their two knots
-    whole = np.zeros((width.size + 1, knots_N.size))
-    for k in range(width.size):
-        whole[k + 1] = whole[k]
-        whole[k + 1, k] += width[k] / 2.0
-        whole[k + 1, k + 1] += width[k] / 2.0
-    basis = whole[piece]
+    both = np.eye(width.size, knots_N.size) + np.eye(width.size, knots_N.size, 1)
+    basis = np.vstack([np.zeros(knots_N.size), np.cumsum(0.5 * width[:, None] * both, axis=0)])[piece]
     share = within**2 / (2.0 * width[piece])
     basis[rows, piece] += within - share
     basis[rows, piece + 1] += share

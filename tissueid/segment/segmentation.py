@@ -188,7 +188,7 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
         again, again_flags = locate(moves, start)
         if again is not None:
             phases = name_phases(path, found, surface, again=again)
-            contact, contact_flags = _set_or_slow(contact, again, path, again_flags)
+            contact, contact_flags = _set_or_slow((contact, contact_flags), (again, again_flags), path)
     divided = Segmentation(compression, force_sign, contact, phases, noise, test=test)
     events, remarks = _remarks(trial.protocol, divided, path, found, options)
     phases = _without_broken(phases, events)
@@ -330,12 +330,20 @@ def _lets_go(path: Path, cycles: tuple[Phase, ...], baseline_N: float) -> bool:
     return least - baseline_N <= max(LOST_SD * path.noise_N, LOST_SHARE * float(np.ptp(path.force_N)))
 
 
-def _set_or_slow(first: Contact, again: Contact, path: Path, flags: list[Flag]) -> tuple[Contact, list[Flag]]:
-    """Contact after loops, as uncertain as the tissue's surface: it has set there, or comes back later."""
-    apart = abs(again.displacement_mm - first.displacement_mm)
-    if apart <= SAME_PLACE_SD * float(np.hypot(first.sd_mm, again.sd_mm)):
-        return again, flags
-    met = replace(again, sd_mm=float(np.hypot(again.sd_mm, apart / np.sqrt(3.0))))
+def _set_or_slow(
+    first: tuple[Contact, list[Flag]], again: tuple[Contact, list[Flag]], path: Path
+) -> tuple[Contact, list[Flag]]:
+    """Contact before loops, if it shows, as uncertain as its distance from the one that is met after them.
+
+    Tissue that is not back yet remembers its loops, and has set if it never comes back.  A tool that stands
+    where it is met again, without air before it, does not tell where the surface was.
+    """
+    (before, flags), (after, _) = first if first[0].in_record else again, again
+    apart = abs(after.displacement_mm - first[0].displacement_mm)
+    same = apart <= SAME_PLACE_SD * float(np.hypot(first[0].sd_mm, after.sd_mm))
+    if same or (first[0].in_record and not after.in_record):
+        return before, flags
+    met = replace(before, sd_mm=float(np.hypot(before.sd_mm, apart)), moved_mm=apart)
     if apart <= UNCERTAIN_SHARE * float(np.ptp(path.depth_mm)):
         return met, flags
     message = f"the tool meets the tissue {apart:.3g} mm away after its loops: set, or not back yet"
