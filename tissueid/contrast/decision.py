@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from tissueid import __version__
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, evenly
 from tissueid.documents import plain
 from tissueid.documents.contrast import (
     Common,
@@ -152,8 +152,7 @@ class Compared:
 
     def some_draws(self) -> FloatArray:
         """At most :data:`MOST_DRAWS` of them, evenly spread."""
-        count = len(self.draws)
-        return np.asarray(self.draws[np.linspace(0, count - 1, min(count, MOST_DRAWS)).astype(int)])
+        return np.asarray(self.draws[evenly(len(self.draws), MOST_DRAWS)])
 
 
 def common_range(tissues: Sequence[Compared]) -> Common:

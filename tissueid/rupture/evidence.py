@@ -193,7 +193,7 @@ def _grid(tests: Outcomes) -> _Grid:
 
 
 def _most_likely(
-    tests: Outcomes, start: tuple[float, float, float], covariate: FloatArray | None = None
+    tests: Outcomes, start: FloatArray, covariate: FloatArray | None = None
 ) -> tuple[FloatArray, float]:
     """Maximum likelihood of (mu, ln s, ln b[, slope by a covariate]), and ln likelihood there."""
 
@@ -202,11 +202,10 @@ def _most_likely(
         moved = tests if covariate is None else tests.shifted(float(at[3]) * covariate)
         return -float(log_likelihood(moved, at[:1], s, b)[0])
 
-    mu, s, b = start
-    extra = [] if covariate is None else [0.0]
-    first = np.array([mu, np.log(s), np.log(b), *extra])
-    step = np.diag([s, 0.3, 0.5, *[0.5 * s for _ in extra]])
-    simplex = np.vstack([first, first + step])
+    s = float(np.exp(start[1]))
+    steps = [s, 0.3, 0.5] if covariate is None else [s, 0.3, 0.5, 0.5 * s]
+    first = np.append(start, np.zeros(len(steps) - start.size))
+    simplex = np.vstack([first, first + np.diag(steps)])
     found = minimize(
         negative,
         first,
@@ -232,13 +231,12 @@ def _trend(
     at, ln_likelihood = fitted
     speeds = np.log([one.speed_mm_s for one in failures])
     speeds = speeds - speeds.mean()
-    names = list(dict.fromkeys(one.specimen for one in failures))
+    specimens = int(tests.specimen.max()) + 1
     broken = sum(one.ruptured for one in failures)
-    left = broken - len(names) - 1
-    if left < 1 or all(np.ptp(speeds[tests.specimen == k]) < ONE_SPEED for k in range(len(names))):
+    left = broken - specimens - 1
+    if left < 1 or all(np.ptp(speeds[tests.specimen == k]) < ONE_SPEED for k in range(specimens)):
         return 0.0, None
-    start = (float(at[0]), float(np.exp(at[1])), float(np.exp(at[2])))
-    with_slope, higher = _most_likely(tests, start, speeds)
+    with_slope, higher = _most_likely(tests, at, speeds)
     statistic = left * float(np.expm1(2.0 * max(higher - ln_likelihood, 0.0) / broken))
     return float(with_slope[3]), float(f_distribution.sf(statistic, 1, left))
 
@@ -247,8 +245,9 @@ def threshold_of(failures: Sequence[Failure], criterion: str) -> Threshold:
     """Fit the threshold of one criterion."""
     tests, growth, ln_factor = standardised(failures, criterion)
     grid = _grid(tests)
-    fitted = _most_likely(tests, grid.best)
-    mu, s, b = float(fitted[0][0]), float(np.exp(fitted[0][1])), float(np.exp(fitted[0][2]))
+    mean, *spreads = grid.best
+    fitted = _most_likely(tests, np.array([mean, *np.log(spreads)]))
+    mu, s, b = (float(value) for value in (fitted[0][0], *np.exp(fitted[0][1:])))
     trend, p = _trend(failures, tests, fitted)
     low, high = grid.interval()
     names = list(dict.fromkeys(one.specimen for one in failures))
