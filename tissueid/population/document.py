@@ -26,6 +26,7 @@ from tissueid.store.posteriors import StoredPosterior
 #: Draws of mean and spread that a bundle keeps.
 KEPT_DRAWS = 4000
 PROVENANCE = ("group_by", "covariates", "tails", "seed", "priors", "identification_sha256")
+AS_THEY_ARE = ("left_out", "reason", "agreement", "order", "confounding", "flags")
 #: Specimens whose curves are kept, to be predicted from the others; of more an even choice.
 MOST_WITH_CURVES = 200
 _NO_UNITS: Mapping[str, str] = {"length": "mm", "force": "N", "time": "s"}
@@ -109,13 +110,8 @@ def as_document(fit: CohortFit, options: CohortOptions, *, source: str) -> Popul
     return Population(
         schema="tissueid/population/1",
         specimens_used=tuple(one.specimen for one in fit.members),
-        left_out=fit.left_out,
-        reason=fit.reason,
         population=None if fit.population is None else fit.population.told,
-        agreement=fit.agreement,
-        order=fit.order,
-        confounding=fit.confounding,
-        flags=fit.flags,
+        **{key: getattr(fit, key) for key in AS_THEY_ARE},
         provenance=typed(
             {
                 "tissueid": __version__,

@@ -21,6 +21,7 @@ from typing import Any
 
 from tissueid.collection import (
     Collected,
+    RecentTrials,
     display_names,
     exclusion_rows,
     study_document,
@@ -50,7 +51,6 @@ from tissueid.store.schema import check
 from tissueid.study.inventory import (
     Inventory,
     Progress,
-    RecentTrials,
     Request,
     Workplace,
     decided_row,
@@ -349,7 +349,7 @@ class _Cohort:
                 found.append(found_in(file.path, item))
                 if isinstance(item, InputError):
                     continue
-                self.recent.keep(item)
+                self.recent.keep((item.source.path, item.source.sheet), item)
                 row = decided_row(found[-1], file.study)
                 if row.kind in {"trial", "excluded"} and row.specimen not in names:
                     if names:

@@ -6,7 +6,6 @@ death is that of a known task: the process is replaced, the task tried once more
 
 from __future__ import annotations
 
-import copyreg
 import pickle
 import platform
 import signal
@@ -20,7 +19,6 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from multiprocessing import get_context
-from types import MappingProxyType
 from typing import Any, Self
 
 from tissueid import __version__, extras
@@ -56,14 +54,6 @@ class Outcome:
     result: bytes | None
     fault: Fault | None
     seconds: float = 0.0  # wall time of the computation
-
-
-def _frozen(items: dict[str, Any]) -> MappingProxyType[str, Any]:
-    return MappingProxyType(items)
-
-
-# options and studies are frozen, mappings included, and pickle knows no mapping proxies
-copyreg.pickle(MappingProxyType, lambda proxy: (_frozen, (dict(proxy),)))
 
 
 def packed(value: Any) -> bytes:
