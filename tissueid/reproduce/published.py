@@ -14,7 +14,7 @@ from typing import Any, Final, Literal, TypeVar
 from msgspec import structs
 
 from tissueid.documents.reproduction import Figure, Item, Kind, PaperName, Trace
-from tissueid.errors import UsageError, printable
+from tissueid.errors import printable, refuse
 
 Value = float | tuple[float, float]
 Interval = tuple[float, float] | None
@@ -277,10 +277,8 @@ def readings_from(settings: Sequence[str]) -> Readings:
     for setting in settings:
         name, equals, choice = setting.partition("=")
         if not equals or name not in READINGS:
-            msg = f"--set {printable(setting)}: give NAME=CHOICE, NAME one of {', '.join(READINGS)}"
-            raise UsageError(msg)
+            refuse(f"--set {printable(setting)}: give NAME=CHOICE, NAME one of {', '.join(READINGS)}")
         if choice not in READINGS[name]:
-            msg = f"--set {printable(setting)}: {name} is one of {', '.join(READINGS[name])}"
-            raise UsageError(msg)
+            refuse(f"--set {printable(setting)}: {name} is one of {', '.join(READINGS[name])}")
         readings = replace(readings, **{name: choice})
     return readings
