@@ -279,11 +279,6 @@ class Predictive:
     theta: FloatArray  # (n, p), drawn specimens, all passive
     refused: int  # draws that were not passive, and were drawn again
 
-    @property
-    def refused_share(self) -> float:
-        """Of all draws."""
-        return self.refused / max(self.refused + len(self.theta), 1)
-
 
 def _drawn(draws: PopulationDraws, count: int, rng: np.random.Generator) -> FloatArray:
     """Phi of specimens of new donors, sites and operators at the cohort's mean covariates."""
@@ -361,9 +356,9 @@ def population_flags(
         )
         values = {"specimens": list(floored), "draws": list(floored.values())}
         flags.append(Flag("draws_floored", message, values))
-    if predictive.refused_share > MANY_REFUSED or predictive.typical_is_drawn:
-        share = 100 * predictive.refused_share
-        message = f"{share:.0f} % of drawn specimens were not passive and were drawn again"
+    share = predictive.refused / max(predictive.refused + len(predictive.theta), 1)
+    if share > MANY_REFUSED or predictive.typical_is_drawn:
+        message = f"{100 * share:.0f} % of drawn specimens were not passive and were drawn again"
         message += ", the typical one too" if predictive.typical_is_drawn else ""
         flags.append(
             Flag(

@@ -40,10 +40,6 @@ class Outcomes:
     ruptured: NDArray[np.bool_]  # (n,)
     specimen: NDArray[np.intp]  # (n,), 0 to the number of specimens - 1
 
-    def shifted(self, by: FloatArray) -> Outcomes:
-        """The same less something of each test, shape (n,)."""
-        return replace(self, z=self.z - by)
-
     def membership(self) -> FloatArray:
         """1 where a ruptured test is of a specimen, shape (ruptured tests, specimens)."""
         own = self.specimen[self.ruptured]
@@ -199,7 +195,7 @@ def _most_likely(
 
     def negative(at: FloatArray) -> float:
         s, b = (np.exp(np.clip(at[1:3], np.log(1e-5), np.log(10.0)))).reshape(2, 1)
-        moved = tests if covariate is None else tests.shifted(float(at[3]) * covariate)
+        moved = tests if covariate is None else replace(tests, z=tests.z - float(at[3]) * covariate)
         return -float(log_likelihood(moved, at[:1], s, b)[0])
 
     s = float(np.exp(start[1]))

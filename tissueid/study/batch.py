@@ -49,6 +49,7 @@ from tissueid.store.merged import (
 from tissueid.store.outputs import OutputSet
 from tissueid.store.schema import check
 from tissueid.study.inventory import (
+    LOCAL,
     Inventory,
     Progress,
     Request,
@@ -290,7 +291,8 @@ class _Cohort:
         new = not self.index.knows_files()
         inventory.put_down_refusals()
         with Workplace(self.request.workers, self.request.scheduler) as workplace:
-            if workplace.shared_disk:
+            if self.request.scheduler == LOCAL:
+                # workers see the folders of this process
                 self.chains = self.run.sampling()
             at_once = self._while_read(inventory) if new and self.chains is not None else None
             if at_once is None:

@@ -9,10 +9,10 @@ import hashlib
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from tissueid.collection import RecentTrials
 from tissueid.errors import InputError
@@ -70,7 +70,7 @@ def expected_seconds(samples: int, specimens: int, options: IdentifyOptions) -> 
     return samples * SECONDS_A_SAMPLE + specimens * SECONDS_SAMPLING.get(sampler, 1.0)
 
 
-class Workplace:
+class Workplace(AbstractContextManager["Workplace"]):
     """Workplace of a run; processes and connections are opened when they are first needed."""
 
     def __init__(self, workers: int | None, scheduler: str) -> None:
@@ -78,16 +78,8 @@ class Workplace:
         self._stack = ExitStack()
         self._opened: Workforce | None = None
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self._stack.close()
-
-    @property
-    def shared_disk(self) -> bool:
-        """True where workers see the folders of this process."""
-        return self._scheduler == LOCAL
 
     def workforce(
         self, tasks: int, seconds: float, function: Callable[[str, bytes], bytes], *, asked: bool
