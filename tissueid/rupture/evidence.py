@@ -46,18 +46,10 @@ class Outcomes:
         return np.asarray((own[:, None] == np.arange(int(self.specimen.max()) + 1)).astype(np.float64))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Given:
-    """Specimens given their ruptured tests; a last axis of specimens."""
-
-    ln_probability: FloatArray  # of those tests
-    #: Of m_k.
-    mean: FloatArray
-    variance: FloatArray
-
-
-def given_ruptured(tests: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray) -> Given:
-    """Log likelihood of the ruptured tests of each specimen."""
+def given_ruptured(
+    tests: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Log likelihood of each specimen's ruptured tests, and mean and variance of m_k given them."""
     member = tests.membership()
     z, v = tests.z[tests.ruptured], tests.variance[tests.ruptured]
     weight = 1.0 / (s[..., None] ** 2 + v)
@@ -70,21 +62,21 @@ def given_ruptured(tests: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray
     shrunk = 1.0 + between * precision
     ln = 0.5 * ((np.log(weight) - LN_2PI) @ member - far)
     ln = ln - 0.5 * (np.log(shrunk) + precision * (centre - mu) ** 2 / shrunk)
-    return Given(ln, (between * precision * centre + mu) / shrunk, between / shrunk)
+    return ln, (between * precision * centre + mu) / shrunk, between / shrunk
 
 
 def log_likelihood(tests: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray) -> FloatArray:
     """Likelihood (ln) of a cohort."""
-    given = given_ruptured(tests, mu, s, b)
-    found = given.ln_probability.sum(axis=-1)
+    ln, mean, variance = given_ruptured(tests, mu, s, b)
+    found = ln.sum(axis=-1)
     for k in np.unique(tests.specimen[~tests.ruptured]):
-        found = found + np.logaddexp.reduce(_censored(tests, given, k, s), axis=-1)
+        found = found + np.logaddexp.reduce(_censored(tests, mean, variance, k, s), axis=-1)
     return np.asarray(found)
 
 
-def _censored(tests: Outcomes, given: Given, k: int, s: FloatArray) -> FloatArray:
+def _censored(tests: Outcomes, mean: FloatArray, variance: FloatArray, k: int, s: FloatArray) -> FloatArray:
     """Weights (ln) of the nodes of m_k times the probability of its censored tests, a last axis of nodes."""
-    nodes = given.mean[..., k, None] + np.sqrt(given.variance[..., k, None]) * _NODES
+    nodes = mean[..., k, None] + np.sqrt(variance[..., k, None]) * _NODES
     terms = np.broadcast_to(_LN_WEIGHTS, nodes.shape)
     own = ~tests.ruptured & (tests.specimen == k)
     for c, v in zip(tests.z[own], tests.variance[own], strict=True):
@@ -94,13 +86,13 @@ def _censored(tests: Outcomes, given: Given, k: int, s: FloatArray) -> FloatArra
 
 def specimen_means(tests: Outcomes, mu: float, s: float, b: float) -> FloatArray:
     """Mean of each specimen's ln threshold given its tests, shape (specimens,)."""
-    at = (np.array(mu), np.array(s), np.array(b))
-    given = given_ruptured(tests, *at)
-    found = np.array(given.mean, dtype=np.float64)
+    sd = np.array(s)
+    _, mean, variance = given_ruptured(tests, np.array(mu), sd, np.array(b))
+    found = np.array(mean, dtype=np.float64)
     for k in np.unique(tests.specimen[~tests.ruptured]):
-        terms = _censored(tests, given, k, at[1])
+        terms = _censored(tests, mean, variance, k, sd)
         share = np.exp(terms - np.logaddexp.reduce(terms, axis=-1))
-        found[k] += np.sqrt(given.variance[k]) * (share * _NODES).sum()
+        found[k] += np.sqrt(variance[k]) * (share * _NODES).sum()
     return found
 
 
@@ -140,28 +132,8 @@ def standardised(failures: Sequence[Failure], criterion: str) -> tuple[Outcomes,
     return tests, typical, float((ln_growth[ruptured] - np.log(typical)).sum())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Grid:
-    """Points over (s, b, mu) with the ln of their posterior mass."""
-
-    mean: FloatArray
-    ln_mass: FloatArray
-    best: tuple[float, float, float]
-
-    @property
-    def ln_evidence(self) -> float:
-        return float(np.logaddexp.reduce(self.ln_mass, axis=None))
-
-    def interval(self) -> tuple[float, float]:
-        """Equal-tailed 95 % interval of the mean."""
-        order = np.argsort(self.mean, axis=None)
-        mass = np.exp(self.ln_mass.ravel()[order] - self.ln_evidence)
-        share = np.cumsum(mass) - 0.5 * mass
-        low, high = np.interp(INTERVAL, share, self.mean.ravel()[order])
-        return float(low), float(high)
-
-
-def _grid(tests: Outcomes) -> _Grid:
+def _on_a_grid(tests: Outcomes) -> tuple[FloatArray, FloatArray, float]:
+    """Likeliest (mu, ln s, ln b), ends of the equal-tailed 95 % interval of the mean, and ln evidence."""
     s = np.geomspace(*TEST_SD, TEST_POINTS)[:, None, None]
     b = np.geomspace(*SPECIMEN_SD, SPECIMEN_POINTS)[None, :, None]
     ln_prior = (
@@ -172,7 +144,7 @@ def _grid(tests: Outcomes) -> _Grid:
     )
     # the mean's own normal given the ruptured tests: a flat start, specimens weighed by what they know
     weight = (1.0 / (s[..., None] ** 2 + tests.variance[tests.ruptured])) @ tests.membership()
-    told = given_ruptured(tests, np.zeros((1, 1, 1)), s, np.full((1, 1, 1), FLAT)).mean
+    told = given_ruptured(tests, np.zeros((1, 1, 1)), s, np.full((1, 1, 1), FLAT))[1]
     joint = weight / (1.0 + b[..., None] ** 2 * weight)
     precision = joint.sum(axis=-1)
     centre = (joint * told).sum(axis=-1) / precision
@@ -184,8 +156,11 @@ def _grid(tests: Outcomes) -> _Grid:
     ln_likelihood = log_likelihood(tests, mean, s, b)
     ln_mass = ln_likelihood + ln_prior + ln_step
     at = np.unravel_index(int(np.argmax(ln_likelihood)), ln_mass.shape)
-    best = (float(mean[at]), float(s[at[0], 0, 0]), float(b[0, at[1], 0]))
-    return _Grid(mean, ln_mass, best)
+    best = np.array([mean[at], np.log(s[at[0], 0, 0]), np.log(b[0, at[1], 0])])
+    ln_evidence = float(np.logaddexp.reduce(ln_mass, axis=None))
+    order = np.argsort(mean, axis=None)
+    mass = np.exp(ln_mass.ravel()[order] - ln_evidence)
+    return best, np.interp(INTERVAL, np.cumsum(mass) - 0.5 * mass, mean.ravel()[order]), ln_evidence
 
 
 def _most_likely(
@@ -240,22 +215,21 @@ def _trend(
 def threshold_of(failures: Sequence[Failure], criterion: str) -> Threshold:
     """Fit the threshold of one criterion."""
     tests, growth, ln_factor = standardised(failures, criterion)
-    grid = _grid(tests)
-    mean, *spreads = grid.best
-    fitted = _most_likely(tests, np.array([mean, *np.log(spreads)]))
+    best, ends, ln_evidence = _on_a_grid(tests)
+    fitted = _most_likely(tests, best)
     mu, s, b = (float(value) for value in (fitted[0][0], *np.exp(fitted[0][1:])))
     trend, p = _trend(failures, tests, fitted)
-    low, high = grid.interval()
+    low, high = np.exp(growth * ends).tolist()
     names = list(dict.fromkeys(one.specimen for one in failures))
     means = specimen_means(tests, mu, s, b)
     return Threshold(
         criterion=cast("Criterion", criterion),
         unit=cast("Unit", THRESHOLD_UNITS[criterion]),
         median=float(np.exp(growth * mu)),
-        ci95=(float(np.exp(growth * low)), float(np.exp(growth * high))),
+        ci95=(low, high),
         sd_ln=growth * s,
         specimen_sd_ln=growth * b,
-        ln_evidence=grid.ln_evidence + ln_factor,
+        ln_evidence=ln_evidence + ln_factor,
         growth=growth,
         trend=growth * trend,
         trend_p=p,
