@@ -45,20 +45,15 @@ FARTHEST_WEIGHT = 100.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pilot:
-    """A frozen population: multivariate t around each specimen's centre."""
+    """A frozen population: multivariate t of :data:`PILOT_NU` around each specimen's centre."""
 
     mean: FloatArray  # (n, p)
     covariance: FloatArray  # (p, p)
-    nu: float
-
-    def unit(self) -> FloatArray:
-        """Inverse Cholesky factor of the covariance."""
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)))
 
     def log_density(self, phi: FloatArray, specimen: int) -> FloatArray:
         """Ln density of points of one specimen, up to a constant; shape (n,)."""
-        z = (phi - self.mean[specimen]) @ self.unit().T
-        return np.asarray(-0.5 * (self.nu + phi.shape[1]) * np.log1p((z**2).sum(axis=1) / self.nu))
+        z = (phi - self.mean[specimen]) @ np.linalg.inv(np.linalg.cholesky(self.covariance)).T
+        return np.asarray(-0.5 * (PILOT_NU + phi.shape[1]) * np.log1p((z**2).sum(axis=1) / PILOT_NU))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,7 +233,7 @@ def first_pilot(stage: StageOne, spread: float) -> Pilot:
         excess = (weight * ((middle - mean) ** 2 - own**2)).sum(axis=0) / weight.sum(axis=0)
         variance = np.maximum(excess, spread**2)
     centre = np.tile(mean, (len(stage.phi), 1))
-    return Pilot(centre, np.diag(2.0 * PILOT_WIDER * variance), PILOT_NU)
+    return Pilot(centre, np.diag(2.0 * PILOT_WIDER * variance))
 
 
 def _spread(phi: NDArray[Any]) -> FloatArray:
