@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -338,66 +338,56 @@ def population_flags(
     specimens: Sequence[documents.Specimen],
     design: Design,
     floored: Mapping[str, int],
-) -> list[Flag]:
+) -> Iterator[Flag]:
     """Flags of a population; ``floored``: specimen -> draws of which a number was zero."""
-    flags = [*_of_chains(draws), *_of_outliers(specimens)]
-
+    if not draws.converged:
+        yield _of_chains(draws)
+    outliers = [row for row in specimens if row.outlier is not None]
+    if outliers:
+        yield _of_outliers(outliers, len(specimens))
     smoothed = [row.specimen for row in specimens if row.smoothed]
     if smoothed:
         message = (
             f"the population lies among few draws of {len(smoothed)} of {len(specimens)} specimens "
             f"(first {smoothed[0]})"
         )
-        flags.append(Flag("likelihood_smoothed", message, {"specimens": smoothed}))
+        yield Flag("likelihood_smoothed", message, {"specimens": smoothed})
     if floored:
         message = (
             f"{len(floored)} specimens (first {next(iter(floored))}) have no force or stiffness in "
             f"{sum(floored.values())} draws"
         )
         values = {"specimens": list(floored), "draws": list(floored.values())}
-        flags.append(Flag("draws_floored", message, values))
+        yield Flag("draws_floored", message, values)
     share = predictive.refused / max(predictive.refused + len(predictive.theta), 1)
     if share > MANY_REFUSED or predictive.typical_is_drawn:
         message = f"{100 * share:.0f} % of drawn specimens were not passive and were drawn again"
         message += ", the typical one too" if predictive.typical_is_drawn else ""
-        flags.append(
-            Flag(
-                "population_not_passive",
-                message,
-                {"refused": predictive.refused, "kept": len(predictive.theta)},
-            )
-        )
+        refused = {"refused": predictive.refused, "kept": len(predictive.theta)}
+        yield Flag("population_not_passive", message, refused)
     for key, who in design.missing.items():
         message = f"{key} is not stated of {len(who)} specimens (first {who[0]}): the mean was taken"
-        flags.append(Flag("covariate_missing", message, {"covariate": key, "specimens": list(who)}))
-    return flags
+        yield Flag("covariate_missing", message, {"covariate": key, "specimens": list(who)})
 
 
-def _of_chains(draws: PopulationDraws) -> list[Flag]:
-    if draws.converged:
-        return []
+def _of_chains(draws: PopulationDraws) -> Flag:
     worst = max(draws.diagnostics.values(), key=lambda one: one.r_hat)
     least = min(min(one.ess_bulk, one.ess_tail) for one in draws.diagnostics.values())
     message = (
         f"chains over the population: R-hat {worst.r_hat:.3f} (wanted {R_HAT}), {least:.0f} effective draws "
         f"(wanted {ESS:.0f})"
     )
-    return [Flag("population_not_converged", message, {"r_hat": worst.r_hat, "ess": least})]
+    return Flag("population_not_converged", message, {"r_hat": worst.r_hat, "ess": least})
 
 
-def _of_outliers(specimens: Sequence[documents.Specimen]) -> list[Flag]:
-    outliers = [row for row in specimens if row.outlier is not None]
-    if not outliers:
-        return []
+def _of_outliers(outliers: Sequence[documents.Specimen], count: int) -> Flag:
     said = "; ".join(
         f"{row.specimen} (probability {row.far:.2f}, {row.outlier} {row.deviation:+.1f} sd)"
         for row in sorted(outliers, key=lambda row: -row.far)[:LONGEST_LIST]
     )
     more = f"; and {len(outliers) - LONGEST_LIST} more" if len(outliers) > LONGEST_LIST else ""
-    message = (
-        f"far from the others: {said}{more}; of a normal population {0.01 * len(specimens):.2g} would be"
-    )
-    return [Flag("specimen_outlier", message, {"specimens": [row.specimen for row in outliers]})]
+    message = f"far from the others: {said}{more}; of a normal population {0.01 * count:.2g} would be"
+    return Flag("specimen_outlier", message, {"specimens": [row.specimen for row in outliers]})
 
 
 #: Wanted half widths, relative.
