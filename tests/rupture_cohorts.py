@@ -34,7 +34,8 @@ def typical_threshold(criterion: str) -> float:
         middle = (low * high) ** 0.5
         path = crosshead_path(Log("ramp", (Move(DEEPEST_MM, SPEEDS_MM_MIN[1]),)))
         found = rupture_of(Rupture(criterion, middle), path, Body(PROTOCOL.static, PROTOCOL.branches))
-        low, high = (low, middle) if not found.ruptured or found.depth_mm > TYPICAL_MM else (middle, high)
+        late = not found["ruptured"] or found["rupture_depth_mm"] > TYPICAL_MM
+        low, high = (low, middle) if late else (middle, high)
     return (low * high) ** 0.5
 
 
@@ -66,20 +67,20 @@ def known_cohort(
                 crosshead_path(Log("ramp", (Move(stop_mm, speed),))),
                 Body(static, (Branch((stiffness,), TAU_S),)),
             )
-            depth = np.linspace(0.0, broken.depth_mm, PATH_SAMPLES)
+            depth = np.linspace(0.0, broken["rupture_depth_mm"], PATH_SAMPLES)
             test = LoadedTest(
                 path=f"{specimen}-{speed:g}",
                 sheet=None,
-                ruptured=broken.ruptured,
+                ruptured=bool(broken["ruptured"]),
                 time_s=depth / (speed / 60.0),
                 depth_mm=depth,
-                force_N=broken.force_N,
-                work_N_mm=broken.work_N_mm,
+                force_N=broken["rupture_force_N"],
+                work_N_mm=broken["rupture_work_N_mm"],
                 force_sd_N=0.0,
                 step_mm=0.0,
                 contact_sd_mm=0.0,
                 speed_mm_s=speed / 60.0,
-                residual=0.2 if broken.ruptured else None,
+                residual=0.2 if broken["ruptured"] else None,
             )
             tests.append((test, 0.0))
         theta = np.array([*static, stiffness, TAU_S])

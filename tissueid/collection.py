@@ -39,45 +39,49 @@ CACHE_BYTES = 16 * 2**20
 CONTACT_WIDER = 3.0
 
 _Progress = Callable[[str, int, int], None]
+#: Path and sheet of a recording.
+_Key = tuple[str, str | None]
 
 
-class TrialCache:
+class RecentTrials:
     """The most recent trials, up to a number of bytes."""
 
-    def __init__(self, reload: Callable[[Source], Trial] | None) -> None:
-        self._reload = reload
-        self._trials: OrderedDict[tuple[str, str | None], Trial] = OrderedDict()
-        self._bytes = 0
+    def __init__(self, most: float = CACHE_BYTES) -> None:
+        self._trials: OrderedDict[_Key, Trial] = OrderedDict()
+        self._bytes, self._most = 0, most
 
-    @property
-    def reloads(self) -> bool:
-        """True where a trial that was dropped can be read again."""
-        return self._reload is not None
-
-    @staticmethod
-    def _size(trial: Trial) -> int:
-        return trial.time_s.nbytes + trial.displacement_mm.nbytes + trial.force_N.nbytes
-
-    def add(self, key: tuple[str, str | None], trial: Trial) -> None:
-        """Keep a trial; the oldest give way."""
+    def keep(self, key: _Key, trial: Trial) -> None:
+        """Remember a trial; the oldest give way."""
         self._trials[key] = trial
-        self._bytes += self._size(trial)
-        while self._reload is not None and self._bytes > CACHE_BYTES and len(self._trials) > 1:
-            _, oldest = self._trials.popitem(last=False)
-            self._bytes -= self._size(oldest)
+        self._bytes += 3 * trial.time_s.nbytes
+        while self._bytes > self._most and len(self._trials) > 1:
+            self.take(next(iter(self._trials)))
 
-    def get(self, key: tuple[str, str | None], source: Source) -> Trial:
+    def take(self, key: _Key) -> Trial | None:
+        """Give a trial away, where it is still there."""
+        trial = self._trials.pop(key, None)
+        self._bytes -= 0 if trial is None else 3 * trial.time_s.nbytes
+        return trial
+
+
+class TrialCache(RecentTrials):
+    """Trials of which those that were dropped are read again; without a way to read them all are kept."""
+
+    def __init__(self, reload: Callable[[Source], Trial] | None) -> None:
+        super().__init__(math.inf if reload is None else CACHE_BYTES)
+        self.reload = reload
+
+    def get(self, key: _Key, source: Source) -> Trial:
         """The trial of that key, read again where it was dropped."""
-        if key in self._trials:
-            self._trials.move_to_end(key)
-            return self._trials[key]
-        if self._reload is None:
-            raise KeyError(key)
-        trial = self._reload(source)
-        if trial.source.sha256 != source.sha256:
-            msg = "the file changed while it was being fitted; run again when it is whole"
-            raise InputError(code="unreadable_file", message=msg, path=source.path, sheet=source.sheet)
-        self.add(key, trial)
+        trial = self.take(key)
+        if trial is None:
+            if self.reload is None:
+                raise KeyError(key)
+            trial = self.reload(source)
+            if trial.source.sha256 != source.sha256:
+                msg = "the file changed while it was being fitted; run again when it is whole"
+                raise InputError(code="unreadable_file", message=msg, path=source.path, sheet=source.sheet)
+        self.keep(key, trial)
         return trial
 
 
@@ -259,7 +263,7 @@ def collect(
         if why is None and trial.axes != collected.axes.get(trial.specimen, trial.axes):
             collected.left_out.append(_mixed_axes(trial))
             continue
-        key = (source.path, source.sheet) if cache.reloads else (str(count), None)
+        key = (str(count), None) if cache.reload is None else (source.path, source.sheet)
         handle = _handle(trial, own, study, _loader(cache, key, source, study), unfitted, unloading=unloading)
         if why is not None:
             itself = options.excludes(trial) is None and (decision is None or decision.excluded is None)
@@ -271,13 +275,11 @@ def collect(
             continue
         else:
             collected.add(trial, handle)
-        cache.add(key, raw)
+        cache.keep(key, raw)
     return collected
 
 
-def _loader(
-    cache: TrialCache, key: tuple[str, str | None], source: Source, study: Study | None
-) -> Callable[[], Trial]:
+def _loader(cache: TrialCache, key: _Key, source: Source, study: Study | None) -> Callable[[], Trial]:
     """Loads a trial again and decides on it again."""
 
     def load() -> Trial:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.metadata import requires
 
 from tissueid import __version__
-from tissueid.extras import EXTRA_OF, installed
+from tissueid.extras import EXTRA_OF, installed, versions
 from tissueid.own_process import own_process
 
 #: Seconds that a probe in a process of its own may take.
@@ -57,28 +58,24 @@ def _machine() -> Check:
 
 def _libraries() -> Check:
     """Versions of what tissueid needs."""
-    names = [line.split(";")[0] for line in requires("tissueid") or () if "extra ==" not in line]
-    found, missing = [], []
-    for name in ("".join(c if c.isalnum() or c in "-_." else " " for c in line).split()[0] for line in names):
-        try:
-            found.append(f"{name} {version(name)}")
-        except PackageNotFoundError:
-            missing.append(name)
+    lines = [line for line in requires("tissueid") or () if "extra ==" not in line]
+    names = [re.findall(r"[\w.-]+", line)[0] for line in lines]
+    found = versions(names)
+    missing = [name for name in names if name not in found]
     if missing:
         lost = ", ".join(missing)
         return Check("libraries", "missing", f"not installed: {lost}", f"pip install {' '.join(missing)}")
-    return Check("libraries", "ok", ", ".join(found))
+    return Check("libraries", "ok", _listed(found))
+
+
+def _listed(found: dict[str, str]) -> str:
+    return ", ".join(f"{name} {version}" for name, version in found.items())
 
 
 def _extras() -> Check:
-    there, absent = [], dict.fromkeys(EXTRA_OF.values(), False)
-    for module, extra in EXTRA_OF.items():
-        try:
-            there.append(f"{module} {version(module)}")
-        except PackageNotFoundError:
-            absent[extra] = True
-    words = ", ".join(there) or "none"
-    wanted = ",".join(extra for extra, lacks in absent.items() if lacks)
+    found = versions(EXTRA_OF)
+    words = _listed(found) or "none"
+    wanted = ",".join(dict.fromkeys(extra for module, extra in EXTRA_OF.items() if module not in found))
     if wanted:
         return Check("extras", "note", words, f"where wanted: pip install 'tissueid[{wanted}]'")
     return Check("extras", "ok", words)

@@ -29,7 +29,7 @@ from tissueid.collection import TrialCache, collect, display_names
 from tissueid.digits import typeset
 from tissueid.documents import plain, typed
 from tissueid.documents.identification import Specimen
-from tissueid.errors import BundleError, InputError, NotIdentifiedError, UsageError
+from tissueid.errors import BundleError, InputError, NotIdentifiedError, refuse
 from tissueid.flags import Flag
 from tissueid.inference.logs import LogHandle
 from tissueid.inference.posterior import PosteriorOptions
@@ -139,8 +139,7 @@ def fit(
     candidates(options.model or KELVIN_VOIGT)
     given = [trials] if isinstance(trials, Trial) else list(trials)
     if not given or not all(isinstance(one, Trial) for one in given):
-        msg = "there are no recordings to fit; read some with tissueid.read(folder)"
-        raise UsageError(msg)
+        refuse("there are no recordings to fit; read some with tissueid.read(folder)")
     names = display_names([(one.specimen, one.source) for one in given])
     known = {names[one.specimen] for one in given}
     name = specimen or (known.pop() if len(known) == 1 else "specimen")
@@ -153,8 +152,7 @@ def fit(
     if not found.groups:
         raise found.left_out[0].as_error()
     if any(one.code == "mixed_axes" for one in found.left_out):
-        msg = "recordings of lengths and of strains can't be fitted together; fit each kind by itself"
-        raise UsageError(msg)
+        refuse("recordings of lengths and of strains can't be fitted together; fit each kind by itself")
     own = tuple(one for one in given if not _refused(one, found.left_out))
     setting = _Setting(options, cut, priors or Priors(), tuple(found.inputs), not found.axes[name].normalised)
     fitted = fit_with_state(
@@ -269,8 +267,7 @@ class Fit(_Reported):
             else:
                 why = "has to be positive" if one.name in positive else "follows from other parameters"
                 names = ", ".join(law.model().parameter_names)
-                msg = f"{name} = {value:g}: {one.name} {why}; {names} can be fixed"
-                raise UsageError(msg)
+                refuse(f"{name} = {value:g}: {one.name} {why}; {names} can be fixed")
         options = self.setting.options
         if self.result.model.key == KELVIN_VOIGT:
             chosen = self.result.model
@@ -321,8 +318,7 @@ class Fit(_Reported):
         reason; UsageError: there is no such number of draws, or no such seed.
         """
         if draws < 1 or seed < 0:
-            msg = f"draws = {draws}, seed = {seed}: give 1 draw or more, and a seed of 0 or more"
-            raise UsageError(msg)
+            refuse(f"draws = {draws}, seed = {seed}: give 1 draw or more, and a seed of 0 or more")
         asked = PosteriorOptions(draws=draws, seed=seed)
         found = with_draws(self.fitted, asked, self.setting.priors, instrument=self.setting.machine)
         if found.posterior is None:
@@ -530,7 +526,6 @@ def render(
         RenderOptions(bundle=Path(bundle), device=device, script=script, seconds=seconds, virtual=virtual)
     )
     if plan.capabilities.hardware and not agreed:
-        msg = f"{device} has motors: tell the person who holds it, then say agreed=True"
-        raise UsageError(msg)
+        refuse(f"{device} has motors: tell the person who holds it, then say agreed=True")
     recorder = None if log is None else Recorder(Path(log), plan.head)
     return Session(plan, recorder=recorder).run()

@@ -30,7 +30,7 @@ from tissueid.collection import (
 from tissueid.decided import arithmetic_refusal
 from tissueid.documents import members, typed
 from tissueid.documents.identification import Exit, TipGeometry
-from tissueid.errors import InputError, UsageError, exit_code
+from tissueid.errors import InputError, exit_code, refuse
 from tissueid.extras import versions
 from tissueid.inference.frame_effect import tip_handles
 from tissueid.inference.logs import NO_CONTACT, LogHandle
@@ -179,11 +179,10 @@ def _refuse_unused(model: str | None, study: Study | None) -> None:
     priors, laws = _priors(study), candidates(model or KELVIN_VOIGT)
     unused = unused_priors(laws, (*priors.linear, *priors.shapes))
     if unused:
-        msg = (
+        refuse(
             f"{'' if study is None else study.path}: [priors.{unused[0]}] is of no parameter of "
             f"{model or KELVIN_VOIGT}; take it out, or name a law that has it (`tissueid models`)"
         )
-        raise UsageError(msg)
 
 
 def _priors(study: Study | None) -> Priors:

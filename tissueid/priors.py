@@ -12,11 +12,19 @@ time in question, so that for short times the prior is one of viscosity and not 
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from types import MappingProxyType
 from typing import Any
+
+
+def _frozen(items: dict[str, Any]) -> MappingProxyType[str, Any]:
+    return MappingProxyType(items)
+
+
+# worker processes need priors, options and studies, which are frozen, mappings included: pickle knows no such
+copyreg.pickle(MappingProxyType, lambda proxy: (_frozen, (dict(proxy),)))
 
 #: Standard deviation of a weak coefficient, in forces: so many times the largest measured one.
 WEAK_FACTOR = 2.0
@@ -134,9 +142,3 @@ class Priors:
             "phi": {"low": self.phi[0], "high": self.phi[1]},
             "gain_sd": {"scale": self.gain_sd},
         }
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # read-only mappings can't be pickled, and worker processes need priors
-        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        plain: dict[str, Any] = {k: dict(v) if isinstance(v, Mapping) else v for k, v in values.items()}
-        return partial(Priors, **plain), ()

@@ -40,6 +40,8 @@ class ResidualSummary:
     hold_count: NDArray[np.int64]  # (m,), samples of each
 
 
+#: Members of a parameter as they are, in the order of the file.
+_OF_ESTIMATE = ("name", "symbol", "unit", "value", "stderr", "identified")
 #: What a parameter says of its uncertainty where nothing was sampled or nothing is identified.
 _NOT_SAMPLED = dict.fromkeys(UNCERTAINTY)
 
@@ -86,12 +88,7 @@ class Estimate(Shown):
         sampled = None if self.uncertainty is None else self.uncertainty.as_json()
         aside = {} if self.identified or sampled is None else {"posterior": sampled}
         return {
-            "name": self.name,
-            "symbol": self.symbol,
-            "unit": self.unit,
-            "value": self.value,
-            "stderr": self.stderr,
-            "identified": self.identified,
+            **{key: getattr(self, key) for key in _OF_ESTIMATE},
             **(sampled if sampled is not None and self.identified else _NOT_SAMPLED),
             "detail": {**self.detail, **aside},
         }
@@ -185,6 +182,13 @@ class TrialFit:
             "measured": plain(self.measured),
             "flags": plain(self.flags),
         }
+
+
+#: Members of a specimen as they are, in the order of the file.
+_OF_SPECIMEN = (
+    *("relaxation", "relaxation_window", "cycles", "measured", "quoted", "unloading", "unloading_predicted"),
+    *("optimisers", "selection"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,15 +288,7 @@ class SpecimenFit(Shown):
             "n_samples": self.n_samples,
             "validity": plain(Validity(**members(self, Validity))),
             "trials": [trial.as_json() for trial in self.trials],
-            "relaxation": plain(self.relaxation),
-            "relaxation_window": plain(self.relaxation_window),
-            "cycles": plain(self.cycles),
-            "measured": plain(self.measured),
-            "quoted": plain(self.quoted),
-            "unloading": None if self.unloading is None else dict(self.unloading),
-            "unloading_predicted": plain(self.unloading_predicted),
-            "optimisers": dict(self.optimisers),
-            "selection": [dict(row) for row in self.selection],
+            **{key: plain(getattr(self, key)) for key in _OF_SPECIMEN},
             **(_NO_POSTERIOR if self.posterior is None else self.posterior.as_json()),
             "flags": plain(self.flags),
         }

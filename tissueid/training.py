@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, evenly
 from tissueid.documents.session import Curve, Way
 from tissueid.haptics.states import State
 from tissueid.rendering import guidance as gd
@@ -76,7 +76,7 @@ def track(
     felt, place, drill_mm = _felt(head, records)
     first, last, _ = _ends(place[:, 2], cone_entry_mm, drill_mm)
     way = _smoothed(felt["time_s"], place)[first : last + 1]
-    kept = way[np.linspace(0, way.shape[0] - 1, min(way.shape[0], TRACK_POINTS)).astype(int)]
+    kept = way[evenly(len(way), TRACK_POINTS)]
     return kept[:, 2], np.hypot(kept[:, 0], kept[:, 1])
 
 
@@ -163,8 +163,5 @@ def learning_curve(values: Sequence[float | None]) -> Curve | None:
     known = np.isfinite(y) & (y > 0.0)
     if int(known.sum()) < FEWEST:
         return None
-    design = np.column_stack([np.ones(int(known.sum())), np.log(number[known])])
-    (intercept, slope), *_ = np.linalg.lstsq(design, np.log(y[known]), rcond=None)
-    left = np.log(y[known]) - design @ np.array([intercept, slope])
-    variance = float(left @ left) / (left.size - 2) * np.linalg.inv(design.T @ design)
-    return Curve(math.exp(intercept), float(slope), math.sqrt(float(variance[1, 1])), int(left.size))
+    (slope, intercept), covariance = np.polyfit(np.log(number[known]), np.log(y[known]), 1, cov=True)
+    return Curve(math.exp(intercept), float(slope), math.sqrt(covariance[0, 0]), int(known.sum()))

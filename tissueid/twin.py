@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray
 from tissueid.contrast.decision import LEAST_FORCE_N, LIMITS
 from tissueid.documents import twin as document
-from tissueid.errors import DeviceError, UsageError
+from tissueid.errors import DeviceError, refuse
 from tissueid.haptics.falcon.calibration import Calibration as FalconCalibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
@@ -107,15 +107,13 @@ def program_of_recording(trial: Trial, depth_mm: float) -> Program:
     """
     segmentation = segment(trial)
     if segmentation.contact is None:
-        msg = f"{trial.name}: there is no contact in it; name a recording that touches tissue"
-        raise UsageError(msg)
+        refuse(f"{trial.name}: there is no contact in it; name a recording that touches tissue")
     depth, force = contact_frame(trial, segmentation)
     start = segmentation.contact.index
     time, depth, force = trial.time_s[start:] - trial.time_s[start], depth[start:], force[start:]
     scale = min(depth_mm / float(depth.max()), 1.0)
     if scale < MOST_SCALED:
-        msg = f"{trial.name} is {depth.max():.3g} mm deep, the bundle is claimed to {depth_mm:.3g} mm"
-        raise UsageError(msg)
+        refuse(f"{trial.name} is {depth.max():.3g} mm deep, the bundle is claimed to {depth_mm:.3g} mm")
     deeper = scale < SAME_DEPTH
     depth = scale * depth if deeper else depth
     words = f"travel of {trial.name}" + f", scaled to {depth_mm:.3g} mm" * deeper
@@ -235,8 +233,7 @@ def felt_by_a_machine(trial: Trial, *, force_scale: float, motion: float) -> Fel
     """A recording at a real Falcon's grip, scales undone; UsageError where there is no contact in it."""
     segmentation = segment(trial, options=SegmentOptions(rupture=False))
     if segmentation.contact is None:
-        msg = f"{trial.name}: no contact is found in it; name what the test machine recorded at the grip"
-        raise UsageError(msg)
+        refuse(f"{trial.name}: no contact is found in it; name what the test machine recorded at the grip")
     depth, force = contact_frame(trial, segmentation)
     return Felt(MACHINE, trial.time_s, depth / motion, force / force_scale, LATE_S, COUNT_MM / motion)
 

@@ -19,7 +19,7 @@ from msgspec.json import decode
 
 from tissueid.decided import as_decided
 from tissueid.documents import plain, typed
-from tissueid.documents.inspect import Error, Fit, Judged, Parameter, Watch
+from tissueid.documents.inspect import Fit, Judged, Parameter, Watch
 from tissueid.errors import InputError, was_interrupted
 from tissueid.inference.specimen import FitOptions
 from tissueid.inspection import describe_segmented, measured_of, segmented
@@ -98,20 +98,11 @@ def samples_digest(trial: Trial) -> str:
 
 def refused_verdict(refusal: Refusal, trial: Trial | None = None) -> Watch:
     """The verdict on a file that can't be read, or on a trial that defeats the arithmetic."""
-    return Watch(
-        path=refusal.path,
-        sheet=refusal.sheet,
-        specimen=None if trial is None else trial.specimen,
-        excluded=None,
-        units=None,
-        contact=None,
-        measured=None,
-        verdict=Judged("refused", f"this file can't be used: {refusal}"),
-        flags=(),
-        digest=None if trial is None else samples_digest(trial),
-        error=typed(refusal.as_json()["error"], Error),
-        fit=None,
-    )
+    said = refusal.as_json()
+    said |= {"verdict": Judged("refused", f"this file can't be used: {refusal}"), "flags": ()}
+    if trial is not None:
+        said |= {"specimen": trial.specimen, "digest": samples_digest(trial)}
+    return typed(dict.fromkeys(Watch.__struct_fields__) | said, Watch)
 
 
 def judge(

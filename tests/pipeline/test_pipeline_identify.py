@@ -58,15 +58,18 @@ def test_reloaded_samples_give_the_bytes_of_kept_samples(holds, monkeypatch) -> 
 
 
 def test_the_cache_keeps_to_its_bytes(holds: list[Trial], monkeypatch: pytest.MonkeyPatch) -> None:
-    one = sum(array.nbytes for array in (holds[-1].time_s, holds[-1].displacement_mm, holds[-1].force_N))
+    def size(trial: Trial) -> int:
+        return sum(array.nbytes for array in (trial.time_s, trial.displacement_mm, trial.force_N))
+
+    one = size(holds[-1])
     monkeypatch.setattr(collection, "CACHE_BYTES", 2 * one)
     of_path = {trial.source.path: trial for trial in holds}
     cache = collection.TrialCache(lambda source: of_path[source.path])
     for trial in [*holds, *holds[::-1]]:
         key = (trial.source.path, None)
         if key not in cache._trials:
-            cache.add(key, trial)
-        held = sum(cache._size(kept) for kept in cache._trials.values())
+            cache.keep(key, trial)
+        held = sum(size(kept) for kept in cache._trials.values())
         assert held == cache._bytes <= 2 * one
     # what has gone comes back
     for trial in holds:

@@ -183,15 +183,15 @@ def test_covariates_are_columns_and_levels_or_refused():
     gap = (replace(three[0], covariates={**three[0].covariates, "age_years": None}), *three[1:])
     described = design_of(gap, None, ("age_years",))
     assert described.missing == {"age_years": ("head 1",)}
-    assert described.design.columns[0, 1] == 0.0
+    assert described.columns[0, 1] == 0.0
     # 61 to 64 years: mean 62.5, standard deviation root of 1.25
     assert described.scales["age_years"] == pytest.approx((62.5, np.sqrt(1.25)))
-    assert described.design.columns[1:, 1] == pytest.approx(np.array([-1.5, -0.5, 0.5, 1.5]) / np.sqrt(1.25))
+    assert described.columns[1:, 1] == pytest.approx(np.array([-1.5, -0.5, 0.5, 1.5]) / np.sqrt(1.25))
     six = members(6, draws=100)
     alone = tuple(replace(one, covariates={"donor": one.specimen}) for one in six)
-    assert design_of(six, None, ()).design.levels == ("donor",)
-    assert design_of(six, None, ()).design.group.tolist() == [[0, 0, 1, 1, 2, 2]]
-    assert design_of(alone, None, ()).design.levels == ()
+    assert design_of(six, None, ()).levels == ("donor",)
+    assert design_of(six, None, ()).group.tolist() == [[0, 0, 1, 1, 2, 2]]
+    assert design_of(alone, None, ()).levels == ()
 
 
 def with_one_gain(made: tuple[Member, ...], sd: float, rng: np.random.Generator) -> tuple[Member, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from tissueid import __version__
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, evenly
 from tissueid.documents import plain
 from tissueid.documents.contrast import (
     Common,
@@ -31,7 +31,7 @@ from tissueid.documents.contrast import (
     Quantiles,
     Tissue,
 )
-from tissueid.errors import UsageError
+from tissueid.errors import refuse
 from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.functionals import force_after_ramp
 from tissueid.model.passivity import scaling_for
@@ -144,16 +144,14 @@ class Compared:
 
     def __post_init__(self) -> None:
         if len(self.draws) < LEAST_DRAWS:
-            msg = (
+            refuse(
                 f"{self.name}: {len(self.draws)} draws are too few to compare; fit it with a sampler "
                 "(`tissueid fit` does by default)"
             )
-            raise UsageError(msg)
 
     def some_draws(self) -> FloatArray:
         """At most :data:`MOST_DRAWS` of them, evenly spread."""
-        count = len(self.draws)
-        return np.asarray(self.draws[np.linspace(0, count - 1, min(count, MOST_DRAWS)).astype(int)])
+        return np.asarray(self.draws[evenly(len(self.draws), MOST_DRAWS)])
 
 
 def common_range(tissues: Sequence[Compared]) -> Common:
@@ -165,8 +163,7 @@ def common_range(tissues: Sequence[Compared]) -> Common:
             f"{tissue.name} at {tissue.speeds_mm_s[0]:.3g} to {tissue.speeds_mm_s[1]:.3g} mm/s"
             for tissue in tissues
         )
-        msg = f"no speed is common to them ({told}): what the speed does and the tissue can't be told apart"
-        raise UsageError(msg)
+        refuse(f"no speed is common to them ({told}): what the speed does and the tissue can't be told apart")
     return Common(min(tissue.model.depth_mm for tissue in tissues), (slow, max(slow, fast)))
 
 

@@ -30,7 +30,7 @@ SAMPLES_A_TIME = 2.0
 def remarks_on(best: Judged, machine: Machine, tissues: Tissues, asked: Asked) -> list[str]:
     """Sentences on the recommended protocol, the gravest first."""
     out = []
-    tau, step = tissues.shortest_tau_s, best.setting.step_s
+    tau, step = float(tissues.tau_s.min(initial=np.inf)), best.setting.step_s
     if tau < SAMPLES_A_TIME * step:
         out.append(
             f"A relaxation time of {tau:.3g} s is below two samples ({2 * step:.3g} s): fit will flag it, "

@@ -154,9 +154,9 @@ def judged(ledger: Ledger, protocol: Protocol) -> Judged:
         setting=ledger.setting,
         protocol=protocol,
         seconds=ledger.duration(protocol),
-        assured=tuple(float(value) for value in found.assured),
-        median=tuple(float(value) for value in found.median),
-        worst=found.worst,
+        assured=tuple(found.assured.tolist()),
+        median=tuple(np.median(found.sd, axis=1).tolist()),
+        worst=float(found.worst),
         log_seconds=tuple(ledger.seconds(test) - ledger.asked.recovery_s for test in protocol),
         peak_N=tuple(ledger.peak_N(test) for test in protocol),
     )

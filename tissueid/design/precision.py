@@ -301,26 +301,21 @@ class Asked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Precision:
-    """Relative standard deviations of a protocol."""
+    """Relative standard deviations of one protocol or several."""
 
-    sd: FloatArray  # (wants, draws)
-    wants: tuple[Want, ...]
-    assurance: float
+    sd: FloatArray  # (wants, ..., draws)
+    asked: Asked
 
     @property
     def assured(self) -> FloatArray:
         """For each want, what the share ``assurance`` of the tissues has or betters."""
-        return np.quantile(self.sd, self.assurance, axis=1, method="higher")
+        return np.quantile(self.sd, self.asked.assurance, axis=-1, method="higher")
 
     @property
-    def median(self) -> FloatArray:
-        """For each want, over the tissues."""
-        return np.asarray(np.median(self.sd, axis=1))
-
-    @property
-    def worst(self) -> float:
+    def worst(self) -> FloatArray:
         """Largest ratio of assured to wanted; at most 1 where all wants are met."""
-        return float((self.assured / np.array([want.share for want in self.wants])).max())
+        shares = np.array([want.share for want in self.asked.wants])
+        return np.asarray((self.assured.T / shares).T.max(axis=0))
 
 
 @dataclass(slots=True, eq=False)
@@ -387,15 +382,15 @@ class Ledger:
             self._slopes = np.pad(out, ((0, 0), (0, 0), (0, self.chain.nuisances)))
         return self._slopes
 
-    def total(self, protocol: Protocol) -> FloatArray:
-        """Information of a protocol with the priors of the calibration, shape (draws, q, q)."""
-        sums = sum(count * self.information(test) for test, count in protocol.items() if count)
-        return np.asarray(sums + self.chain.prior(self.tissues.theta.shape[1]))
+    def precision_of(self, sums: FloatArray) -> Precision:
+        """Relative standard deviations of the wanted numbers from information (..., draws, q, q) of logs."""
+        prior = self.chain.prior(self.tissues.theta.shape[1])
+        return Precision(relative_sd(sums + prior, self.gradients()), self.asked)
 
     def precision(self, protocol: Protocol) -> Precision:
-        """Relative standard deviations of the wanted numbers."""
-        sd = relative_sd(self.total(protocol), self.gradients())
-        return Precision(sd, self.asked.wants, self.asked.assurance)
+        """Relative standard deviations of the wanted numbers under a protocol."""
+        logs = (count * self.information(test) for test, count in protocol.items() if count)
+        return self.precision_of(np.asarray(sum(logs)))
 
     def duration(self, protocol: Protocol) -> float:
         """Machine time of a specimen: mounting, logs, and rests between them."""

@@ -6,7 +6,7 @@ the wants, or to what the budget allows.  The best are refined off the grid unti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.design.precision import Indentation, Ledger, Protocol, ramp_of, relative_sd
+from tissueid.design.precision import Indentation, Ledger, Protocol, ramp_of
 
 #: Speeds and depths as shares of the greatest, holds in longest relaxation times.
 SPEED_SHARES = (1.0, 0.5, 0.2, 0.05, 0.01)
@@ -137,17 +137,23 @@ class Found:
         return sum(self.protocol.values())
 
 
-def _tells_apart(ledger: Ledger, tests: Iterable[Indentation]) -> bool:
-    """True where speeds or a hold tell the branch from the static force: ramps of one speed do not."""
-    tests = list(tests)
-    speeds = [test.speed_mm_min for test in tests]
-    relaxed = HOLD_NEEDED * ledger.tissues.longest_tau_s
-    return max(speeds) >= SPEEDS_APART * min(speeds) or any(test.hold_s >= relaxed for test in tests)
+def _tells_apart(ledger: Ledger, speeds: FloatArray, holds: FloatArray) -> NDArray[np.bool_]:
+    """True where speeds or a hold, along the first axis, tell the branch from the static force.
+
+    Ramps of one speed do not.
+    """
+    apart = speeds.max(axis=0) >= SPEEDS_APART * speeds.min(axis=0)
+    return np.asarray(apart | (holds.max(axis=0) >= HOLD_NEEDED * ledger.tissues.longest_tau_s))
+
+
+def _programs(tests: Iterable[Indentation]) -> FloatArray:
+    """Speeds and holds of some indentations, shape (2, n)."""
+    return np.array([(one.speed_mm_min, one.hold_s) for one in tests]).T
 
 
 def _looked_at(ledger: Ledger, protocol: Protocol) -> Found:
     protocol = {test: count for test, count in sorted(protocol.items()) if count}
-    return Found(protocol, ledger.duration(protocol), ledger.precision(protocol).worst)
+    return Found(protocol, ledger.duration(protocol), float(ledger.precision(protocol).worst))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,16 +175,12 @@ def _table(ledger: Ledger, tests: Sequence[Indentation]) -> _Table:
     pairs = np.array([*singles, *apart])
     i, j, a, b = pairs.T
     lengths = np.array([ledger.seconds(one) for one in tests])
-    speeds, holds = np.array([(one.speed_mm_min, one.hold_s) for one in tests]).T
     fewest = np.where(b > 0, np.minimum(a, b), a)
     least = np.ceil(asked.repeats / fewest)
     logs, seconds = a + b, a * lengths[i] + b * lengths[j]
     room = asked.budget_s - asked.setup_s + asked.recovery_s
     most = np.floor(np.minimum(asked.max_logs / logs, room / seconds + 1e-9))
-    fast, slow = np.maximum(speeds[i], speeds[j]), np.minimum(speeds[i], speeds[j])
-    relaxed = HOLD_NEEDED * ledger.tissues.longest_tau_s
-    told = (fast >= SPEEDS_APART * slow) | (np.maximum(holds[i], holds[j]) >= relaxed)
-    fits = told & (most >= least)
+    fits = _tells_apart(ledger, *_programs(tests)[:, [i, j]]) & (most >= least)
     return _Table(pairs[fits], least[fits], most[fits], seconds[fits])
 
 
@@ -208,7 +210,16 @@ def _fewest(ledger: Ledger, info: FloatArray, table: _Table) -> tuple[FloatArray
 
     All rows are bisected at once.  A row is left as soon as it can't be among the :data:`KEPT` shortest.
     """
-    worst_at = _worst_of(ledger, info, table)
+
+    def worst_at(rows: NDArray[np.int64], units: FloatArray) -> FloatArray:
+        out = np.empty(units.size)
+        for first in range(0, units.size, CHUNK):
+            part = slice(first, first + CHUNK)
+            i, j, a, b = table.pairs[rows[part]].T
+            ones, others = ((units[part] * count)[:, None, None, None] for count in (a, b))
+            out[part] = ledger.precision_of(ones * info[i] + others * info[j]).worst
+        return out
+
     low, high = table.least.copy(), table.most.copy()
     worst = worst_at(np.arange(high.size), high)
     reaches = worst <= 1.0
@@ -226,34 +237,13 @@ def _fewest(ledger: Ledger, info: FloatArray, table: _Table) -> tuple[FloatArray
     return high, worst
 
 
-def _worst_of(
-    ledger: Ledger, info: FloatArray, table: _Table
-) -> Callable[[NDArray[np.int64], FloatArray], FloatArray]:
-    """Worst ratio of rows of a table for given numbers of their units."""
-    gradients = ledger.gradients()
-    shares = np.array([want.share for want in ledger.asked.wants])
-    prior = ledger.chain.prior(ledger.tissues.theta.shape[1])
-
-    def worst(rows: NDArray[np.int64], units: FloatArray) -> FloatArray:
-        out = np.empty(units.size)
-        for first in range(0, units.size, CHUNK):
-            part = slice(first, first + CHUNK)
-            i, j, a, b = table.pairs[rows[part]].T
-            ones, others = ((units[part] * count)[:, None, None, None] for count in (a, b))
-            sd = relative_sd(ones * info[i] + others * info[j] + prior, gradients)
-            assured = np.quantile(sd, ledger.asked.assurance, axis=-1, method="higher")
-            out[part] = (assured / shares[:, None]).max(axis=0)
-        return out
-
-    return worst
-
-
 def balanced(ledger: Ledger, tests: Sequence[Indentation], start: Protocol) -> Found:
     """The fewest repeats that reach the wants: logs are added where they help most, then the longest go."""
     asked = ledger.asked
     counts = {test: max(start.get(test, 0), asked.repeats) for test in tests}
     now = _looked_at(ledger, counts)
-    if now.logs > asked.max_logs or now.seconds > asked.budget_s or not _tells_apart(ledger, now.protocol):
+    told = _tells_apart(ledger, *_programs(now.protocol))
+    if now.logs > asked.max_logs or now.seconds > asked.budget_s or not told:
         return replace(now, worst=np.inf)
     while now.worst > 1.0:
         options = []

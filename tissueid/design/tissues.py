@@ -68,15 +68,11 @@ class Tissues:
     @property
     def longest_tau_s(self) -> float:
         """Longest relaxation time of any draw."""
-        return float(self._tau.max(initial=0.0))
+        return float(self.tau_s.max(initial=0.0))
 
     @property
-    def shortest_tau_s(self) -> float:
-        """Shortest relaxation time of any draw."""
-        return float(self._tau.min(initial=np.inf))
-
-    @property
-    def _tau(self) -> FloatArray:
+    def tau_s(self) -> FloatArray:
+        """Relaxation times of each draw."""
         return np.array([self.model.times(one) for one in self.theta])
 
     def numbers(self) -> dict[str, FloatArray]:
@@ -87,7 +83,7 @@ class Tissues:
         """A few of them, spread evenly over the first relaxation time."""
         if self.theta.shape[0] <= count:
             return self
-        order = np.argsort(self._tau[:, 0], kind="stable")
+        order = np.argsort(self.tau_s[:, 0], kind="stable")
         at = np.round((np.arange(count) + 0.5) / count * order.size - 0.5).astype(int)
         return Tissues(self.words, self.name, self.model, self.theta[order[at]], self.known_depth_mm)
 

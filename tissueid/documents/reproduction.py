@@ -29,6 +29,9 @@ class Reading(Document, frozen=True):
 
 Value = float | tuple[float, float] | None
 
+# Ground of a recomputed number: printed, and computed from what the paper states without the number itself;
+# computed, and no number is printed beside it; printed as an input; the number itself, or what was made from
+# it, is among the inputs; an input is printed by no paper; its inputs are lost, or were never printed.
 Kind = Literal["reproduced", "recomputed", "given", "round trip", "assumed", "not reproducible"]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -25,7 +25,6 @@ from tissueid.population.agreement import (
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.members import (
     FEWEST_SPECIMENS,
-    Described,
     Member,
     TrialRow,
     design_of,
@@ -70,7 +69,7 @@ def shared_instrument(members: Sequence[Member], coordinates: Coordinates) -> Sh
             continue
         total, own = coordinates.to_phi(one.draws_total)[0], coordinates.to_phi(one.draws)[0]
         shifts.append(np.median(total, axis=0) - np.median(own, axis=0))
-        more.append(_covariance(total) - _covariance(own))
+        more.append(central_covariance(total) - central_covariance(own))
     if len(shifts) < max(FEWEST_SHARE * len(members), 1):
         return None
     covariance = np.median(more, axis=0)
@@ -79,10 +78,10 @@ def shared_instrument(members: Sequence[Member], coordinates: Coordinates) -> Sh
     return SharedInstrument(np.median(shifts, axis=0), np.asarray(positive))
 
 
-def _covariance(phi: FloatArray) -> FloatArray:
+def central_covariance(draws: FloatArray) -> FloatArray:
     """Covariance of draws pulled in to their central 99 %."""
-    low, high = np.quantile(phi, [0.005, 0.995], axis=0)
-    return np.asarray(np.cov(np.clip(phi, low, high), rowvar=False))
+    low, high = np.quantile(draws, [0.005, 0.995], axis=0)
+    return np.asarray(np.cov(np.clip(draws, low, high), rowvar=False))
 
 
 #: A specimen is named as an outlier where it is more likely than not beyond the 99 % of a normal core.
@@ -94,7 +93,7 @@ MOST_PAIRED = 4
 def quantity_rows(
     draws: PopulationDraws,
     coordinates: Coordinates,
-    described: Described,
+    design: Design,
     instrument: SharedInstrument | None,
     rng: np.random.Generator,
 ) -> tuple[documents.Quantity, ...]:
@@ -120,7 +119,7 @@ def quantity_rows(
                 cv_ci95=interval_95(cv),
                 levels={
                     key: documents.Level(float(np.median(one)), interval_95(one))
-                    for key, one in zip(described.design.levels, level_sd[:, :, k].T, strict=True)
+                    for key, one in zip(design.levels, level_sd[:, :, k].T, strict=True)
                 },
             )
         )
@@ -162,7 +161,7 @@ def specimen_rows(
 
 
 def effect_rows(
-    draws: PopulationDraws, coordinates: Coordinates, described: Described
+    draws: PopulationDraws, coordinates: Coordinates, design: Design
 ) -> tuple[documents.Effect, ...]:
     """Ratios between groups, and for one standard deviation of each number."""
     coefficient = draws.coefficient.reshape(-1, *draws.coefficient.shape[2:])
@@ -180,22 +179,21 @@ def effect_rows(
                 )
             )
 
-    titles = list(described.design.column_names)
+    titles = list(design.column_names)
     zero = np.zeros_like(coefficient[:, 0])
-    grouped = {f"{described.group_by}: {group}" for group in described.groups[1:]}
-    by_group = dict.fromkeys(described.groups[:1], zero) | {
-        group: coefficient[:, titles.index(f"{described.group_by}: {group}")]
-        for group in described.groups[1:]
+    grouped = {f"{design.group_by}: {group}" for group in design.compared[1:]}
+    by_group = dict.fromkeys(design.compared[:1], zero) | {
+        group: coefficient[:, titles.index(f"{design.group_by}: {group}")] for group in design.compared[1:]
     }
-    pairs = list(combinations(described.groups, 2))
-    if len(described.groups) > MOST_PAIRED:
-        pairs = [pair for pair in pairs if pair[0] == described.groups[0]]
+    pairs = list(combinations(design.compared, 2))
+    if len(design.compared) > MOST_PAIRED:
+        pairs = [pair for pair in pairs if pair[0] == design.compared[0]]
     for against, of in pairs:
-        add(by_group[of] - by_group[against], str(described.group_by), of, against, None)
+        add(by_group[of] - by_group[against], str(design.group_by), of, against, None)
     for a, title in enumerate(titles[1:], start=1):
         if title in grouped:
             continue
-        scale = described.scales.get(title)
+        scale = design.scales.get(title)
         if scale is not None:
             add(coefficient[:, a], title, None, None, scale[1])
         else:
@@ -281,11 +279,6 @@ class Predictive:
     theta: FloatArray  # (n, p), drawn specimens, all passive
     refused: int  # draws that were not passive, and were drawn again
 
-    @property
-    def refused_share(self) -> float:
-        """Of all draws."""
-        return self.refused / max(self.refused + len(self.theta), 1)
-
 
 def _drawn(draws: PopulationDraws, count: int, rng: np.random.Generator) -> FloatArray:
     """Phi of specimens of new donors, sites and operators at the cohort's mean covariates."""
@@ -343,68 +336,58 @@ def population_flags(
     draws: PopulationDraws,
     predictive: Predictive,
     specimens: Sequence[documents.Specimen],
-    described: Described,
+    design: Design,
     floored: Mapping[str, int],
-) -> list[Flag]:
+) -> Iterator[Flag]:
     """Flags of a population; ``floored``: specimen -> draws of which a number was zero."""
-    flags = [*_of_chains(draws), *_of_outliers(specimens)]
-
+    if not draws.converged:
+        yield _of_chains(draws)
+    outliers = [row for row in specimens if row.outlier is not None]
+    if outliers:
+        yield _of_outliers(outliers, len(specimens))
     smoothed = [row.specimen for row in specimens if row.smoothed]
     if smoothed:
         message = (
             f"the population lies among few draws of {len(smoothed)} of {len(specimens)} specimens "
             f"(first {smoothed[0]})"
         )
-        flags.append(Flag("likelihood_smoothed", message, {"specimens": smoothed}))
+        yield Flag("likelihood_smoothed", message, {"specimens": smoothed})
     if floored:
         message = (
             f"{len(floored)} specimens (first {next(iter(floored))}) have no force or stiffness in "
             f"{sum(floored.values())} draws"
         )
         values = {"specimens": list(floored), "draws": list(floored.values())}
-        flags.append(Flag("draws_floored", message, values))
-    if predictive.refused_share > MANY_REFUSED or predictive.typical_is_drawn:
-        share = 100 * predictive.refused_share
-        message = f"{share:.0f} % of drawn specimens were not passive and were drawn again"
+        yield Flag("draws_floored", message, values)
+    share = predictive.refused / max(predictive.refused + len(predictive.theta), 1)
+    if share > MANY_REFUSED or predictive.typical_is_drawn:
+        message = f"{100 * share:.0f} % of drawn specimens were not passive and were drawn again"
         message += ", the typical one too" if predictive.typical_is_drawn else ""
-        flags.append(
-            Flag(
-                "population_not_passive",
-                message,
-                {"refused": predictive.refused, "kept": len(predictive.theta)},
-            )
-        )
-    for key, who in described.missing.items():
+        refused = {"refused": predictive.refused, "kept": len(predictive.theta)}
+        yield Flag("population_not_passive", message, refused)
+    for key, who in design.missing.items():
         message = f"{key} is not stated of {len(who)} specimens (first {who[0]}): the mean was taken"
-        flags.append(Flag("covariate_missing", message, {"covariate": key, "specimens": list(who)}))
-    return flags
+        yield Flag("covariate_missing", message, {"covariate": key, "specimens": list(who)})
 
 
-def _of_chains(draws: PopulationDraws) -> list[Flag]:
-    if draws.converged:
-        return []
+def _of_chains(draws: PopulationDraws) -> Flag:
     worst = max(draws.diagnostics.values(), key=lambda one: one.r_hat)
     least = min(min(one.ess_bulk, one.ess_tail) for one in draws.diagnostics.values())
     message = (
         f"chains over the population: R-hat {worst.r_hat:.3f} (wanted {R_HAT}), {least:.0f} effective draws "
         f"(wanted {ESS:.0f})"
     )
-    return [Flag("population_not_converged", message, {"r_hat": worst.r_hat, "ess": least})]
+    return Flag("population_not_converged", message, {"r_hat": worst.r_hat, "ess": least})
 
 
-def _of_outliers(specimens: Sequence[documents.Specimen]) -> list[Flag]:
-    outliers = [row for row in specimens if row.outlier is not None]
-    if not outliers:
-        return []
+def _of_outliers(outliers: Sequence[documents.Specimen], count: int) -> Flag:
     said = "; ".join(
         f"{row.specimen} (probability {row.far:.2f}, {row.outlier} {row.deviation:+.1f} sd)"
         for row in sorted(outliers, key=lambda row: -row.far)[:LONGEST_LIST]
     )
     more = f"; and {len(outliers) - LONGEST_LIST} more" if len(outliers) > LONGEST_LIST else ""
-    message = (
-        f"far from the others: {said}{more}; of a normal population {0.01 * len(specimens):.2g} would be"
-    )
-    return [Flag("specimen_outlier", message, {"specimens": [row.specimen for row in outliers]})]
+    message = f"far from the others: {said}{more}; of a normal population {0.01 * count:.2g} would be"
+    return Flag("specimen_outlier", message, {"specimens": [row.specimen for row in outliers]})
 
 
 #: Wanted half widths, relative.
@@ -425,14 +408,14 @@ def specimens_for_sd(between_sd: float, own_sd: float, precision: float) -> int:
 
 def size_rows(names: tuple[str, ...], sd: FloatArray, own_sd: FloatArray) -> tuple[documents.CohortSize, ...]:
     """A row a quantity and precision; ``sd`` (n, p)."""
-    low, middle, high = np.quantile(sd, [0.025, 0.5, 0.975], axis=0)
+    spread = np.quantile(sd, [0.025, 0.5, 0.975], axis=0)
     rows = []
     for k, name in enumerate(names):
         for precision in PRECISIONS:
-            means = [
-                specimens_for_mean(float(d[k]), float(own_sd[k]), precision) for d in (low, middle, high)
-            ]
-            sds = [specimens_for_sd(float(d[k]), float(own_sd[k]), precision) for d in (low, middle, high)]
+            means, sds = (
+                [specimens_for(float(d[k]), float(own_sd[k]), precision) for d in spread]
+                for specimens_for in (specimens_for_mean, specimens_for_sd)
+            )
             rows.append(
                 documents.CohortSize(
                     name, precision, means[1], (min(means), max(means)), sds[1], (min(sds), max(sds))
@@ -495,12 +478,12 @@ def cohort(
         )
         return CohortFit(kept, left, None, reason, None, order, confounding, tuple(flags))
     coordinates = Coordinates(model_of(kept))
-    described = design_of(kept, options.group_by, options.covariates)
+    design = design_of(kept, options.group_by, options.covariates)
     stage, floored = stage_one(kept, coordinates)
-    population = _population(kept, stage, coordinates, described, options, tick)
+    population = _population(kept, stage, coordinates, design, options, tick)
     specimens = population.told.specimens
     force = {row.specimen: row.pooled[coordinates.static_at_depth] for row in specimens}
-    flags += population_flags(population.draws, population.predictive, specimens, described, floored)
+    flags += population_flags(population.draws, population.predictive, specimens, design, floored)
     return CohortFit(kept, left, population, None, agreement(kept, force), order, confounding, tuple(flags))
 
 
@@ -508,11 +491,11 @@ def _population(
     members: Sequence[Member],
     stage: StageOne,
     coordinates: Coordinates,
-    described: Described,
+    design: Design,
     options: CohortOptions,
     tick: Callable[[str], None],
 ) -> Population:
-    draws = sample_population(stage, described.design, options.priors, options.sampler, tick)
+    draws = sample_population(stage, design, options.priors, options.sampler, tick)
     rng = np.random.default_rng([options.sampler.seed, 4])
     tick("drawing specimens from the population")
     predictive = predictive_specimens(draws, coordinates, rng)
@@ -523,7 +506,7 @@ def _population(
     if options.hold_out:
         tick("predicting held-out specimens")
         fresh = np.random.default_rng([options.sampler.seed, 3])
-        predicted = held_out(members, draws, described.design, coordinates, fresh)
+        predicted = held_out(members, draws, design, coordinates, fresh)
     law, correlation = coordinates.model, draws.correlation.reshape(-1, coordinates.size, coordinates.size)
     heavy = None
     if np.isfinite(draws.nu).all():
@@ -531,11 +514,11 @@ def _population(
     told = documents.Populations(
         model=documents.Model(law.branches, law.stiffness_degree, law.name),
         depth_mm=coordinates.depth_mm,
-        quantities=quantity_rows(draws, coordinates, described, instrument, rng),
+        quantities=quantity_rows(draws, coordinates, design, instrument, rng),
         correlation=np.clip(np.median(correlation, axis=0), -1.0, 1.0).tolist(),
         degrees_of_freedom=heavy,
-        groups=described.groups,
-        effects=effect_rows(draws, coordinates, described),
+        groups=design.compared,
+        effects=effect_rows(draws, coordinates, design),
         specimens=specimen_rows(members, stage, draws, coordinates),
         repeatability=repeatability(members, sd[:, coordinates.static_at_depth], rng),
         held_out=predicted,

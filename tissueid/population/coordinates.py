@@ -65,39 +65,35 @@ class Coordinates:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the quantities whose logarithms are the coordinates; units at their end."""
-        names = list(self.model.parameter_names)
-        for k in range(self._static_size):
-            names[k] = f"static_force_{k + 1}_N"
-        kind = "viscosity_{}_N_s_per_mm" if self.model.viscous else "stiffness_at_{}_N_per_mm"
-        for branch, (at, _) in enumerate(self._blocks()):
-            for k in range(at.stop - at.start):
-                names[at.start + k] = kind.format(k + 1) + branch_suffix(branch)
-        return tuple(names)
+        return tuple(name for name, _, _ in self._described())
 
     @property
     def units(self) -> tuple[str, ...]:
         """Unit of each quantity."""
-        units = [spec.unit for spec in self.model.parameters]
-        units[: self._static_size] = ["N"] * self._static_size
-        for at, _ in self._blocks():
-            units[at] = ["N s/mm" if self.model.viscous else "N/mm"] * (at.stop - at.start)
-        return tuple(units)
+        return tuple(unit for _, unit, _ in self._described())
 
     @property
     def words(self) -> tuple[str, ...]:
         """Each quantity in words, with its depth."""
-        words = [spec.meaning for spec in self.model.parameters]
+        return tuple(words for _, _, words in self._described())
+
+    def _described(self) -> list[tuple[str, str, str]]:
+        """Name, unit and words of each quantity."""
+        said = [(spec.name, spec.unit, spec.meaning) for spec in self.model.parameters]
         for k, depth in enumerate(self._depths(self._static_size)):
-            words[k] = f"static force at {depth:.3g} mm"
+            said[k] = (f"static_force_{k + 1}_N", "N", f"static force at {depth:.3g} mm")
+        kind, name, unit = ("stiffness", "stiffness_at_{}_N_per_mm", "N/mm")
+        if self.model.viscous:
+            kind, name, unit = ("viscosity", "viscosity_{}_N_s_per_mm", "N s/mm")
         blocks = list(self._blocks())
         for branch, (at, time) in enumerate(blocks):
             of = f" of branch {branch + 1}" if len(blocks) > 1 else ""
-            kind = "viscosity" if self.model.viscous else "stiffness"
-            depths = self._depths(at.stop - at.start)
-            words[at] = [f"{kind}{of} at {depth:.3g} mm" for depth in depths]
+            for k, depth in enumerate(self._depths(at.stop - at.start)):
+                own = name.format(k + 1) + branch_suffix(branch)
+                said[at.start + k] = (own, unit, f"{kind}{of} at {depth:.3g} mm")
             if time is not None:
-                words[time] = f"relaxation time{of}"
-        return tuple(words)
+                said[time] = (*said[time][:2], f"relaxation time{of}")
+        return said
 
     def quantities(self, theta: FloatArray) -> FloatArray:
         """The positive numbers of tissues, shape (n, p), from theta, shape (n, p)."""

@@ -12,13 +12,13 @@ from msgspec import structs
 from tissueid import __version__
 from tissueid.arrays import evenly
 from tissueid.documents import typed
-from tissueid.documents.identification import Identification, Specimen, StatedTrial, Trial
+from tissueid.documents.identification import Identification, Specimen
 from tissueid.documents.population import Population, Provenance
 from tissueid.model.grammar import KELVIN_VOIGT
-from tissueid.population.cohort import CohortFit, CohortOptions
+from tissueid.population.cohort import CohortFit, CohortOptions, central_covariance
 from tissueid.population.members import FEWEST_DRAWS, MOST_DRAWS_IN_ALL, Member, TrialRow
 from tissueid.priors import PopulationPriors, SpreadPrior
-from tissueid.result import Curve, Estimate, ModelChoice
+from tissueid.result import Estimate, ModelChoice
 from tissueid.store.bundle import Bundle
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
@@ -26,6 +26,7 @@ from tissueid.store.posteriors import StoredPosterior
 #: Draws of mean and spread that a bundle keeps.
 KEPT_DRAWS = 4000
 PROVENANCE = ("group_by", "covariates", "tails", "seed", "priors", "identification_sha256")
+AS_THEY_ARE = ("left_out", "reason", "agreement", "order", "confounding", "flags")
 #: Specimens whose curves are kept, to be predicted from the others; of more an even choice.
 MOST_WITH_CURVES = 200
 _NO_UNITS: Mapping[str, str] = {"length": "mm", "force": "N", "time": "s"}
@@ -37,7 +38,7 @@ def members_of(
     """The specimens of a finished fit, with as many draws as a cohort of that size can use."""
     study = document.study
     covariates = {row.specimen: structs.asdict(row) for row in study.specimens} if study else {}
-    trials = {(row.path, row.sheet): row for row in study.trials} if study else {}
+    order = {(row.path, row.sheet): (row.run, row.site) for row in study.trials} if study else {}
     count = len(document.specimens)
     most = max(MOST_DRAWS_IN_ALL // max(count, 1), FEWEST_DRAWS)
     with_curves = set(evenly(count, MOST_WITH_CURVES).tolist())
@@ -48,6 +49,11 @@ def members_of(
         drawn = {(one.path, one.sheet): one.curve for one in curves if place in with_curves}
         validity = entry.validity
         slowest, fastest = validity.speeds_mm_s
+        rows = []
+        for one in entry.trials:
+            where = one.path, one.sheet
+            run, site = order.get(where, (None, None))
+            rows.append(TrialRow(*where, one.gain, one.speed_mm_s, one.depth_mm, run, site, drawn.get(where)))
         members.append(
             Member(
                 specimen=entry.specimen,
@@ -55,10 +61,7 @@ def members_of(
                 depth_mm=validity.depth_mm,
                 **_draws(posterior, most, key=entry.model.key),
                 covariates=known,
-                trials=tuple(
-                    _trial(one, trials.get((one.path, one.sheet)), drawn.get((one.path, one.sheet)))
-                    for one in entry.trials
-                ),
+                trials=tuple(rows),
                 speeds_mm_s=(slowest, fastest),
                 tip_radius_mm=validity.tip_radius_mm,
                 sigma_N=entry.sigma_N,
@@ -87,20 +90,6 @@ def _draws(posterior: StoredPosterior | None, most: int, *, key: str) -> dict[st
     }
 
 
-def _trial(trial: Trial, said: StatedTrial | None, curve: Curve | None) -> TrialRow:
-    """One log, with what the study says of it."""
-    return TrialRow(
-        path=trial.path,
-        sheet=trial.sheet,
-        gain=trial.gain,
-        speed_mm_s=trial.speed_mm_s,
-        depth_mm=trial.depth_mm,
-        run=None if said is None else said.run,
-        site=None if said is None else said.site,
-        curve=curve,
-    )
-
-
 def population_priors(document: Identification) -> PopulationPriors:
     """Priors of the population as the study stated them, defaults where it is silent."""
     stated = document.study.population if document.study else None
@@ -121,13 +110,8 @@ def as_document(fit: CohortFit, options: CohortOptions, *, source: str) -> Popul
     return Population(
         schema="tissueid/population/1",
         specimens_used=tuple(one.specimen for one in fit.members),
-        left_out=fit.left_out,
-        reason=fit.reason,
         population=None if fit.population is None else fit.population.told,
-        agreement=fit.agreement,
-        order=fit.order,
-        confounding=fit.confounding,
-        flags=fit.flags,
+        **{key: getattr(fit, key) for key in AS_THEY_ARE},
         provenance=typed(
             {
                 "tissueid": __version__,
@@ -152,9 +136,8 @@ def population_bundle(fit: CohortFit, said: Provenance) -> Bundle | None:
     rows = evenly(len(found.draws.mean), KEPT_DRAWS)
     mean = found.draws.mean[rows]
     # t tails of few degrees of freedom have no variance: the covariance is that of the central 99 %
-    low, high = np.quantile(theta, [0.005, 0.995], axis=0)
     with np.errstate(over="ignore", invalid="ignore"):
-        covariance = np.cov(np.clip(theta, low, high), rowvar=False)
+        covariance = central_covariance(theta)
     if not np.isfinite(covariance).all():
         return None
     spread = coordinates.to_theta(mean).std(axis=0)

@@ -195,18 +195,6 @@ LEVELS = ("donor", "site", "operator")
 NOT_STATED = "not stated"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Described:
-    """The design of a cohort, and how its columns are to be read."""
-
-    design: Design
-    group_by: str | None
-    groups: tuple[str, ...]  # the first is the one that others are compared with
-    scales: Mapping[str, tuple[float, float]]  # numeric covariate -> (mean, sd) it was standardised with
-    #: Covariate -> specimens that do not state it and were given its mean.
-    missing: Mapping[str, tuple[str, ...]]
-
-
 def _values(members: Sequence[Member], key: str) -> list[Any]:
     values = [one.covariates.get(key) for one in members]
     if all(value is None for value in values):
@@ -232,14 +220,14 @@ def _indicators(values: Sequence[Any], key: str) -> tuple[list[FloatArray], list
     return columns, titles, groups
 
 
-def design_of(members: Sequence[Member], group_by: str | None, covariates: Sequence[str]) -> Described:
+def design_of(members: Sequence[Member], group_by: str | None, covariates: Sequence[str]) -> Design:
     """Columns and random effects of a cohort."""
     columns, names = [np.ones(len(members))], ["mean"]
-    groups: tuple[str, ...] = ()
+    compared: tuple[str, ...] = ()
     scales: dict[str, tuple[float, float]] = {}
     missing: dict[str, tuple[str, ...]] = {}
     if group_by is not None:
-        more, titles, groups = _indicators(_values(members, group_by), group_by)
+        more, titles, compared = _indicators(_values(members, group_by), group_by)
         columns += more
         names += titles
     for key in dict.fromkeys(covariates):
@@ -262,14 +250,17 @@ def design_of(members: Sequence[Member], group_by: str | None, covariates: Seque
         names.append(key)
     levels = _levels(members, {group_by, *covariates})
     group = np.array([index for _, _, index in levels], dtype=np.int64).reshape(len(levels), len(members))
-    design = Design(
+    return Design(
         columns=np.column_stack(columns),
         column_names=tuple(names),
         group=group,
         levels=tuple(key for key, _, _ in levels),
         groups=tuple(found for _, found, _ in levels),
+        group_by=group_by,
+        compared=compared,
+        scales=scales,
+        missing={key: who for key, who in missing.items() if who},
     )
-    return Described(design, group_by, groups, scales, {key: who for key, who in missing.items() if who})
 
 
 def _levels(

@@ -14,7 +14,6 @@ from tissueid.arrays import FloatArray
 from tissueid.inference.diagnostics import Diagnostics, diagnose
 from tissueid.population.chains import Chains, Hyper, Scales, State, squares, transposed
 from tissueid.population.stage_one import (
-    PILOT_NU,
     PILOT_WIDER,
     Cohort,
     Design,
@@ -194,7 +193,7 @@ def _next_pilot(chains: Chains) -> Pilot:
     mean = cohort.design @ coefficient.mean(axis=(0, 1))
     for group in cohort.group:
         mean = mean + record.mean("effect")[group]
-    return Pilot(mean, PILOT_WIDER * (covariance + spread.reshape(covariance.shape)), PILOT_NU)
+    return Pilot(mean, PILOT_WIDER * (covariance + spread.reshape(covariance.shape)))
 
 
 def _diagnosed(record: Record, hyper: Hyper) -> dict[str, Diagnostics]:

@@ -7,7 +7,8 @@ mixture of normals: components along what is open in logarithms, or one within t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -44,20 +45,15 @@ FARTHEST_WEIGHT = 100.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pilot:
-    """A frozen population: multivariate t around each specimen's centre."""
+    """A frozen population: multivariate t of :data:`PILOT_NU` around each specimen's centre."""
 
     mean: FloatArray  # (n, p)
     covariance: FloatArray  # (p, p)
-    nu: float
-
-    def unit(self) -> FloatArray:
-        """Inverse Cholesky factor of the covariance."""
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)))
 
     def log_density(self, phi: FloatArray, specimen: int) -> FloatArray:
         """Ln density of points of one specimen, up to a constant; shape (n,)."""
-        z = (phi - self.mean[specimen]) @ self.unit().T
-        return np.asarray(-0.5 * (self.nu + phi.shape[1]) * np.log1p((z**2).sum(axis=1) / self.nu))
+        z = (phi - self.mean[specimen]) @ np.linalg.inv(np.linalg.cholesky(self.covariance)).T
+        return np.asarray(-0.5 * (PILOT_NU + phi.shape[1]) * np.log1p((z**2).sum(axis=1) / PILOT_NU))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,20 +206,19 @@ class StageOne:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """Who belongs to what."""
+    """Who belongs to what, and how columns are to be read."""
 
     columns: FloatArray  # (n, q), a column of ones, then covariates, centred
     column_names: tuple[str, ...]  # ``mean``, then the covariates
     group: IntArray  # (L, n), each specimen's group within each level
     levels: tuple[str, ...] = ()
     groups: tuple[tuple[str, ...], ...] = ()  # names of the groups of each level
-
-    @property
-    def offsets(self) -> IntArray:
-        """First group of each level, among all groups."""
-        return np.concatenate([[0], np.cumsum([len(one) for one in self.groups], dtype=np.int64)]).astype(
-            np.int64
-        )
+    group_by: str | None = None
+    compared: tuple[str, ...] = ()  # its groups; the first is the one that others are compared with
+    #: Numeric covariate -> (mean, sd) it was standardised with.
+    scales: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    #: Covariate -> specimens that do not state it and were given its mean.
+    missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def first_pilot(stage: StageOne, spread: float) -> Pilot:
@@ -238,7 +233,7 @@ def first_pilot(stage: StageOne, spread: float) -> Pilot:
         excess = (weight * ((middle - mean) ** 2 - own**2)).sum(axis=0) / weight.sum(axis=0)
         variance = np.maximum(excess, spread**2)
     centre = np.tile(mean, (len(stage.phi), 1))
-    return Pilot(centre, np.diag(2.0 * PILOT_WIDER * variance), PILOT_NU)
+    return Pilot(centre, np.diag(2.0 * PILOT_WIDER * variance))
 
 
 def _spread(phi: NDArray[Any]) -> FloatArray:
@@ -359,7 +354,7 @@ def packed(stage: StageOne, design: Design, pilot: Pilot, known: dict[int, Mixtu
         held=np.setdiff1d(np.arange(count), poor),
         likelihoods=Mixtures.of([known[i] for i in poor], stage),
         design=np.asarray(design.columns, dtype=np.float64),
-        group=design.group + design.offsets[:-1, None],
+        group=design.group + np.cumsum([0, *sizes], dtype=np.int64)[:-1, None],
         level_of=np.repeat(np.arange(len(sizes)), sizes),
         members=tuple(
             csr_array((np.ones(count), (group, np.arange(count))), shape=(size, count))

@@ -18,7 +18,7 @@ from tissueid.rendering.control.document import measured
 from tissueid.rendering.control.settings import ControlSettings, Mechanics, virtual_mass_bound
 from tissueid.rendering.control.simulation import ControlRun, simulate
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
-from tissueid.reproduce.published import SADEGHNEJAD, Kind, Ledger, Readings, Said
+from tissueid.reproduce.published import SADEGHNEJAD, Ledger, Readings, Said
 from tissueid.reproduce.recordings import Effort
 from tissueid.reproduce.speeds import tissue_through_peaks
 from tissueid.synth.recipe import SPEEDS_MM_MIN
@@ -162,7 +162,7 @@ def _figures(drawn: Mapping[str, ControlRun]) -> list[Figure]:
     return [
         Ledger(SADEGHNEJAD, "Fig. 7").figure(
             f"figure-7{part}",
-            Kind.ASSUMED,
+            "assumed",
             (f"Free and in contact: {words}", caption),
             ("Time [s]", title),
             traces,

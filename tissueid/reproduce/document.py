@@ -11,7 +11,7 @@ from tissueid.documents import plain
 from tissueid.documents.reproduction import Figure, Item
 from tissueid.reproduce.controller import controlled_contact, table_3
 from tissueid.reproduce.hip import guidance_forces, restitutions
-from tissueid.reproduce.published import PIRES, SADEGHNEJAD, Drawing, Kind, Ledger, Readings
+from tissueid.reproduce.published import PIRES, SADEGHNEJAD, Drawing, Ledger, Readings
 from tissueid.reproduce.recordings import Effort, identified_table, relaxation_tests, specimen_scatter
 from tissueid.reproduce.speeds import force_displacement, peak_against_speed
 
@@ -89,4 +89,4 @@ def _hip(readings: Readings, effort: Effort) -> Iterator[_Part]:
 
 def _drawn(key: str, where: str, title: str, drawing: Drawing) -> Figure:
     words = (title, "Drawn from the paper's words; nothing is computed.")
-    return Ledger(SADEGHNEJAD, where).figure(key, Kind.RECOMPUTED, words, ("", ""), (), drawing=drawing)
+    return Ledger(SADEGHNEJAD, where).figure(key, "recomputed", words, ("", ""), (), drawing=drawing)

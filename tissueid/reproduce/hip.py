@@ -13,7 +13,7 @@ from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, impact_step, pack_i
 from tissueid.model.restitution import damping_factor
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
-from tissueid.reproduce.published import PIRES, Kind, Ledger, Readings, Said, near, points
+from tissueid.reproduce.published import PIRES, Ledger, Readings, Said, near, points
 
 RESTITUTIONS = (0.3, 0.5, 0.7, 0.9)
 #: A free mass [kg] at this speed [mm/s] on a Hertz contact [N/mm^1.5], in steps [s] that converge to 1 %.
@@ -98,7 +98,7 @@ def guidance_forces(readings: Readings) -> tuple[list[Item], Figure]:
         f"Shape only, stiffness and surface are not printed. {readings.words('surface').capitalize()}.",
     )
     axes = ("Radial error [mm]", "Force [N]")
-    return items, ledger.figure("paper-b-figure-4", Kind.ASSUMED, words, axes, traces)
+    return items, ledger.figure("paper-b-figure-4", "assumed", words, axes, traces)
 
 
 def _guidance_claims(ledger: Ledger, at_axis: float, slopes: list[float], inside: float) -> list[Item]:

@@ -9,34 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import Final, Literal, TypeVar
+from typing import Any, Final, Literal, TypeVar
 
 from msgspec import structs
 
-from tissueid.documents import reproduction as documents
-from tissueid.documents.reproduction import Figure, Item, PaperName, Trace
-from tissueid.errors import UsageError, printable
+from tissueid.documents.reproduction import Figure, Item, Kind, PaperName, Trace
+from tissueid.errors import printable, refuse
 
 Value = float | tuple[float, float]
 Interval = tuple[float, float] | None
 Drawing = Literal["schematic", "block-diagram"]
-
-
-class Kind:
-    """Ground of a recomputed number."""
-
-    #: Printed, and computed from what the paper states without the number itself.
-    REPRODUCED: Final = "reproduced"
-    #: Computed from what the paper states, which prints no number to stand beside it.
-    RECOMPUTED: Final = "recomputed"
-    #: Printed as an input: put in, not computed.
-    GIVEN: Final = "given"
-    #: The number itself, or what was made from it, is among the inputs.
-    ROUND_TRIP: Final = "round trip"
-    #: An input is printed by no paper.
-    ASSUMED: Final = "assumed"
-    #: Its inputs are lost, or were never printed.
-    NOT_REPRODUCIBLE: Final = "not reproducible"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,14 +26,14 @@ class Judgement:
     """Rule of agreement, in words and as a function of (published, recomputed, interval)."""
 
     words: str
-    holds: Callable[[Value, Value, Interval], bool]
+    holds: Callable[[Any, Any, Interval], bool]
 
 
 def near(tolerance: float, unit: str) -> Judgement:
     """Within a tolerance."""
     return Judgement(
         f"within {tolerance:g} {unit}".rstrip(),
-        lambda published, recomputed, _: abs(_single(published) - _single(recomputed)) <= tolerance,
+        lambda published, recomputed, _: abs(published - recomputed) <= tolerance,
     )
 
 
@@ -59,26 +41,17 @@ def rounded(digits: int) -> Judgement:
     """Equal once rounded as it is printed."""
     return Judgement(
         f"equal when rounded to {digits} decimals",
-        lambda published, recomputed, _: (
-            round(_single(recomputed), digits) == round(_single(published), digits)
-        ),
+        lambda published, recomputed, _: round(recomputed, digits) == round(published, digits),
     )
 
 
-def _within(published: Value, _recomputed: Value, interval: Interval) -> bool:
-    return interval is not None and interval[0] <= _single(published) <= interval[1]
+def _within(published: float, _recomputed: Value, interval: Interval) -> bool:
+    return interval is not None and interval[0] <= published <= interval[1]
 
 
 def _overlap(published: Value, recomputed: Value, _interval: Interval) -> bool:
     (low, high), (least, most) = _pair(published), _pair(recomputed)
     return low <= most and least <= high
-
-
-def _single(value: Value) -> float:
-    if isinstance(value, tuple):
-        msg = "a range can't be judged as a number"
-        raise TypeError(msg)
-    return value
 
 
 def _pair(value: Value) -> tuple[float, float]:
@@ -111,7 +84,7 @@ class Published:
     """A printed number."""
 
     where: str  # table or section of the paper
-    value: float | tuple[float, float]  # as printed; two numbers are a range
+    value: Value  # as printed; two numbers are a range
     unit: str
     words: str  # what it is
 
@@ -156,9 +129,9 @@ class Ledger:
 
     paper: PaperName
     where: str  # place of its rows in the paper, where no number is printed
-    _used: list[str] = field(default_factory=list)
-    _assumed: list[str] = field(default_factory=list)
-    _readings: list[str] = field(default_factory=list)
+    _used: dict[str, None] = field(default_factory=dict)
+    _assumed: dict[str, None] = field(default_factory=dict)
+    _readings: dict[str, None] = field(default_factory=dict)
 
     def printed(self, key: str) -> float:
         """A published number as an input; from now on its own row is a round trip."""
@@ -166,29 +139,26 @@ class Ledger:
         if isinstance(value, tuple):
             msg = f"{key} is a range, which is no input"
             raise TypeError(msg)
-        if key not in self._used:
-            self._used.append(key)
+        self._used[key] = None
         return value
 
     def assume(self, words: str, value: _T) -> _T:
         """An input that no paper prints."""
-        if words not in self._assumed:
-            self._assumed.append(words)
+        self._assumed[words] = None
         return value
 
     def read(self, words: str) -> None:
         """An interpretation of a lost equation or number that enters from here on."""
-        if words not in self._readings:
-            self._readings.append(words)
+        self._readings[words] = None
 
     def item(
         self,
         key: str,
-        recomputed: float | tuple[float, float] | None,
+        recomputed: Value | None,
         *,
         against: str | None = None,
         said: Said | None = None,
-        interval: tuple[float, float] | None = None,
+        interval: Interval = None,
         judge: Judgement | None = None,
         note: str | None = None,
     ) -> Item:
@@ -217,19 +187,19 @@ class Ledger:
             note=note,
         )
 
-    def _kind(self, beside: str, recomputed: object) -> documents.Kind:
+    def _kind(self, beside: str, recomputed: object) -> Kind:
         if recomputed is None:
-            return Kind.NOT_REPRODUCIBLE
+            return "not reproducible"
         if beside in self._used:
-            return Kind.ROUND_TRIP
+            return "round trip"
         if self._assumed:
-            return Kind.ASSUMED
-        return Kind.REPRODUCED if beside in PUBLISHED else Kind.RECOMPUTED
+            return "assumed"
+        return "reproduced" if beside in PUBLISHED else "recomputed"
 
     def given(self, key: str, words: str, note: str) -> Item:
         """A printed number that is an input: nothing is computed beside it."""
         row = self.item(key, None, said=Said(words), note=note)
-        return Item(**structs.asdict(row) | {"kind": Kind.GIVEN})
+        return Item(**structs.asdict(row) | {"kind": "given"})
 
     def claim(
         self, key: str, said: Said, value: float, holds: Callable[[float], bool], rule: str,
@@ -240,7 +210,7 @@ class Ledger:
         return structs.replace(row, agrees=holds(value), rule=rule)
 
     def figure(
-        self, key: str, kind: documents.Kind, words: tuple[str, str], axes: tuple[str, str],
+        self, key: str, kind: Kind, words: tuple[str, str], axes: tuple[str, str],
         traces: Sequence[Trace], *, drawing: Drawing | None = None,
     ) -> Figure:  # fmt: skip
         """A figure of the paper, drawn again: its title and caption, its axes and what is in it."""
@@ -307,10 +277,8 @@ def readings_from(settings: Sequence[str]) -> Readings:
     for setting in settings:
         name, equals, choice = setting.partition("=")
         if not equals or name not in READINGS:
-            msg = f"--set {printable(setting)}: give NAME=CHOICE, NAME one of {', '.join(READINGS)}"
-            raise UsageError(msg)
+            refuse(f"--set {printable(setting)}: give NAME=CHOICE, NAME one of {', '.join(READINGS)}")
         if choice not in READINGS[name]:
-            msg = f"--set {printable(setting)}: {name} is one of {', '.join(READINGS[name])}"
-            raise UsageError(msg)
+            refuse(f"--set {printable(setting)}: {name} is one of {', '.join(READINGS[name])}")
         readings = replace(readings, **{name: choice})
     return readings

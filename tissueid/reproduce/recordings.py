@@ -18,9 +18,8 @@ from msgspec import structs
 from scipy.optimize import brentq, least_squares
 from scipy.signal import lfilter
 
-from tissueid.arrays import FloatArray
-from tissueid.documents import reproduction as documents
-from tissueid.documents.reproduction import Figure, Item, Trace
+from tissueid.arrays import FloatArray, evenly
+from tissueid.documents.reproduction import Figure, Item, Kind, Trace
 from tissueid.errors import NotIdentifiedError
 from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.specimen import FitOptions
@@ -32,7 +31,6 @@ from tissueid.reproduce.published import (
     OVERLAPS,
     SADEGHNEJAD,
     WITHIN_INTERVAL,
-    Kind,
     Ledger,
     Readings,
     Said,
@@ -208,7 +206,7 @@ def relaxation_tests(readings: Readings, effort: Effort) -> tuple[list[Item], Fi
         "over some 60 ms after the ramp; the recordings of the paper are not published."
     )
     words, axes = ("Force against time, four depths", caption), ("Time [s]", "Force [N]")
-    kind: documents.Kind = Kind.ROUND_TRIP if traces else Kind.NOT_REPRODUCIBLE
+    kind: Kind = "round trip" if traces else "not reproducible"
     return items, Ledger(SADEGHNEJAD, "Fig. 2").figure("figure-2", kind, words, axes, traces)
 
 
@@ -285,8 +283,7 @@ def _trace(depth: int, trial: Trial) -> Trace:
     """A record thinned so that its corner stays."""
     corner = int(np.argmax(trial.force_N))
     fine = np.arange(max(corner - RECORD_POINTS // 4, 0), min(corner + RECORD_POINTS // 4, trial.time_s.size))
-    coarse = np.linspace(0, trial.time_s.size - 1, RECORD_POINTS // 2).astype(int)
-    kept = np.union1d(fine, coarse)
+    kept = np.union1d(fine, evenly(trial.time_s.size, RECORD_POINTS // 2))
     return Trace(f"{depth} mm", points(trial.time_s[kept], 5), points(trial.force_N[kept]), "line", None)
 
 
@@ -437,7 +434,7 @@ def _figure(fits: Sequence[SpecimenFit]) -> Figure:
         k = order[int(place * (len(order) - 1))][1]
         curve = curves[k]
         use = np.flatnonzero(curve.fitted)
-        use = use[np.linspace(0, use.size - 1, min(use.size, DRAWN)).astype(int)]
+        use = use[evenly(use.size, DRAWN)]
         depth = points(curve.depth_mm[use])
         predicted = _predicted(fits, k, curve)[use]
         name = fits[k].specimen
@@ -451,4 +448,4 @@ def _figure(fits: Sequence[SpecimenFit]) -> Figure:
         ("The model beside three specimens it has not seen", caption),
         ("Displacement [mm]", "Force [N]"),
     )
-    return Ledger(SADEGHNEJAD, "Fig. 5").figure("figure-5", Kind.ASSUMED, words, axes, traces)
+    return Ledger(SADEGHNEJAD, "Fig. 5").figure("figure-5", "assumed", words, axes, traces)

@@ -14,7 +14,7 @@ from tissueid.documents.reproduction import Figure, Item, Trace
 from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.rupture import hardening_ratio, rupture_at_speed
-from tissueid.reproduce.published import SADEGHNEJAD, Kind, Ledger, Readings, Said, points
+from tissueid.reproduce.published import SADEGHNEJAD, Ledger, Readings, Said, points
 from tissueid.synth.recipe import HOLD_SPEED_MM_MIN, SPEEDS_MM_MIN, Branch
 
 #: Depths of the relaxation tests, section II.A of the paper.
@@ -125,7 +125,7 @@ def force_displacement(readings: Readings) -> tuple[list[Item], Figure]:
         "come from different specimens or places), and the branch of Table 2, by equation (7)."
     )
     words, axes = ("Force against displacement, six speeds", caption), ("Displacement [mm]", "Force [N]")
-    return items, ledger.figure("figure-3", Kind.RECOMPUTED, words, axes, traces)
+    return items, ledger.figure("figure-3", "recomputed", words, axes, traces)
 
 
 def rupture_force(tissue: Tissue, speed_mm_min: float, criterion: str, slow_depth_mm: float) -> float:
@@ -189,7 +189,7 @@ def peak_against_speed(readings: Readings) -> tuple[list[Item], Figure]:
         "contradicts the model's own source, by which the absorbed energy falls with speed."
     )
     words, axes = ("Peak force against speed", caption), ("Speed [mm/min]", "Peak force [N]")
-    return items, Ledger(SADEGHNEJAD, "Fig. 4").figure("figure-4", Kind.ASSUMED, words, axes, traces)
+    return items, Ledger(SADEGHNEJAD, "Fig. 4").figure("figure-4", "assumed", words, axes, traces)
 
 
 def _by_seven(readings: Readings) -> Item:

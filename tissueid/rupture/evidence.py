@@ -40,28 +40,16 @@ class Outcomes:
     ruptured: NDArray[np.bool_]  # (n,)
     specimen: NDArray[np.intp]  # (n,), 0 to the number of specimens - 1
 
-    def shifted(self, by: FloatArray) -> Outcomes:
-        """The same less something of each test, shape (n,)."""
-        return replace(self, z=self.z - by)
-
     def membership(self) -> FloatArray:
         """1 where a ruptured test is of a specimen, shape (ruptured tests, specimens)."""
         own = self.specimen[self.ruptured]
         return np.asarray((own[:, None] == np.arange(int(self.specimen.max()) + 1)).astype(np.float64))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Given:
-    """Specimens given their ruptured tests; a last axis of specimens."""
-
-    ln_probability: FloatArray  # of those tests
-    #: Of m_k.
-    mean: FloatArray
-    variance: FloatArray
-
-
-def given_ruptured(tests: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray) -> Given:
-    """Log likelihood of the ruptured tests of each specimen."""
+def given_ruptured(
+    tests: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Log likelihood of each specimen's ruptured tests, and mean and variance of m_k given them."""
     member = tests.membership()
     z, v = tests.z[tests.ruptured], tests.variance[tests.ruptured]
     weight = 1.0 / (s[..., None] ** 2 + v)
@@ -74,21 +62,21 @@ def given_ruptured(tests: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray
     shrunk = 1.0 + between * precision
     ln = 0.5 * ((np.log(weight) - LN_2PI) @ member - far)
     ln = ln - 0.5 * (np.log(shrunk) + precision * (centre - mu) ** 2 / shrunk)
-    return Given(ln, (between * precision * centre + mu) / shrunk, between / shrunk)
+    return ln, (between * precision * centre + mu) / shrunk, between / shrunk
 
 
 def log_likelihood(tests: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray) -> FloatArray:
     """Likelihood (ln) of a cohort."""
-    given = given_ruptured(tests, mu, s, b)
-    found = given.ln_probability.sum(axis=-1)
+    ln, mean, variance = given_ruptured(tests, mu, s, b)
+    found = ln.sum(axis=-1)
     for k in np.unique(tests.specimen[~tests.ruptured]):
-        found = found + np.logaddexp.reduce(_censored(tests, given, k, s), axis=-1)
+        found = found + np.logaddexp.reduce(_censored(tests, mean, variance, k, s), axis=-1)
     return np.asarray(found)
 
 
-def _censored(tests: Outcomes, given: Given, k: int, s: FloatArray) -> FloatArray:
+def _censored(tests: Outcomes, mean: FloatArray, variance: FloatArray, k: int, s: FloatArray) -> FloatArray:
     """Weights (ln) of the nodes of m_k times the probability of its censored tests, a last axis of nodes."""
-    nodes = given.mean[..., k, None] + np.sqrt(given.variance[..., k, None]) * _NODES
+    nodes = mean[..., k, None] + np.sqrt(variance[..., k, None]) * _NODES
     terms = np.broadcast_to(_LN_WEIGHTS, nodes.shape)
     own = ~tests.ruptured & (tests.specimen == k)
     for c, v in zip(tests.z[own], tests.variance[own], strict=True):
@@ -98,13 +86,13 @@ def _censored(tests: Outcomes, given: Given, k: int, s: FloatArray) -> FloatArra
 
 def specimen_means(tests: Outcomes, mu: float, s: float, b: float) -> FloatArray:
     """Mean of each specimen's ln threshold given its tests, shape (specimens,)."""
-    at = (np.array(mu), np.array(s), np.array(b))
-    given = given_ruptured(tests, *at)
-    found = np.array(given.mean, dtype=np.float64)
+    sd = np.array(s)
+    _, mean, variance = given_ruptured(tests, np.array(mu), sd, np.array(b))
+    found = np.array(mean, dtype=np.float64)
     for k in np.unique(tests.specimen[~tests.ruptured]):
-        terms = _censored(tests, given, k, at[1])
+        terms = _censored(tests, mean, variance, k, sd)
         share = np.exp(terms - np.logaddexp.reduce(terms, axis=-1))
-        found[k] += np.sqrt(given.variance[k]) * (share * _NODES).sum()
+        found[k] += np.sqrt(variance[k]) * (share * _NODES).sum()
     return found
 
 
@@ -144,28 +132,8 @@ def standardised(failures: Sequence[Failure], criterion: str) -> tuple[Outcomes,
     return tests, typical, float((ln_growth[ruptured] - np.log(typical)).sum())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Grid:
-    """Points over (s, b, mu) with the ln of their posterior mass."""
-
-    mean: FloatArray
-    ln_mass: FloatArray
-    best: tuple[float, float, float]
-
-    @property
-    def ln_evidence(self) -> float:
-        return float(np.logaddexp.reduce(self.ln_mass, axis=None))
-
-    def interval(self) -> tuple[float, float]:
-        """Equal-tailed 95 % interval of the mean."""
-        order = np.argsort(self.mean, axis=None)
-        mass = np.exp(self.ln_mass.ravel()[order] - self.ln_evidence)
-        share = np.cumsum(mass) - 0.5 * mass
-        low, high = np.interp(INTERVAL, share, self.mean.ravel()[order])
-        return float(low), float(high)
-
-
-def _grid(tests: Outcomes) -> _Grid:
+def _on_a_grid(tests: Outcomes) -> tuple[FloatArray, FloatArray, float]:
+    """Likeliest (mu, ln s, ln b), ends of the equal-tailed 95 % interval of the mean, and ln evidence."""
     s = np.geomspace(*TEST_SD, TEST_POINTS)[:, None, None]
     b = np.geomspace(*SPECIMEN_SD, SPECIMEN_POINTS)[None, :, None]
     ln_prior = (
@@ -176,7 +144,7 @@ def _grid(tests: Outcomes) -> _Grid:
     )
     # the mean's own normal given the ruptured tests: a flat start, specimens weighed by what they know
     weight = (1.0 / (s[..., None] ** 2 + tests.variance[tests.ruptured])) @ tests.membership()
-    told = given_ruptured(tests, np.zeros((1, 1, 1)), s, np.full((1, 1, 1), FLAT)).mean
+    told = given_ruptured(tests, np.zeros((1, 1, 1)), s, np.full((1, 1, 1), FLAT))[1]
     joint = weight / (1.0 + b[..., None] ** 2 * weight)
     precision = joint.sum(axis=-1)
     centre = (joint * told).sum(axis=-1) / precision
@@ -188,25 +156,27 @@ def _grid(tests: Outcomes) -> _Grid:
     ln_likelihood = log_likelihood(tests, mean, s, b)
     ln_mass = ln_likelihood + ln_prior + ln_step
     at = np.unravel_index(int(np.argmax(ln_likelihood)), ln_mass.shape)
-    best = (float(mean[at]), float(s[at[0], 0, 0]), float(b[0, at[1], 0]))
-    return _Grid(mean, ln_mass, best)
+    best = np.array([mean[at], np.log(s[at[0], 0, 0]), np.log(b[0, at[1], 0])])
+    ln_evidence = float(np.logaddexp.reduce(ln_mass, axis=None))
+    order = np.argsort(mean, axis=None)
+    mass = np.exp(ln_mass.ravel()[order] - ln_evidence)
+    return best, np.interp(INTERVAL, np.cumsum(mass) - 0.5 * mass, mean.ravel()[order]), ln_evidence
 
 
 def _most_likely(
-    tests: Outcomes, start: tuple[float, float, float], covariate: FloatArray | None = None
+    tests: Outcomes, start: FloatArray, covariate: FloatArray | None = None
 ) -> tuple[FloatArray, float]:
     """Maximum likelihood of (mu, ln s, ln b[, slope by a covariate]), and ln likelihood there."""
 
     def negative(at: FloatArray) -> float:
         s, b = (np.exp(np.clip(at[1:3], np.log(1e-5), np.log(10.0)))).reshape(2, 1)
-        moved = tests if covariate is None else tests.shifted(float(at[3]) * covariate)
+        moved = tests if covariate is None else replace(tests, z=tests.z - float(at[3]) * covariate)
         return -float(log_likelihood(moved, at[:1], s, b)[0])
 
-    mu, s, b = start
-    extra = [] if covariate is None else [0.0]
-    first = np.array([mu, np.log(s), np.log(b), *extra])
-    step = np.diag([s, 0.3, 0.5, *[0.5 * s for _ in extra]])
-    simplex = np.vstack([first, first + step])
+    s = float(np.exp(start[1]))
+    steps = [s, 0.3, 0.5] if covariate is None else [s, 0.3, 0.5, 0.5 * s]
+    first = np.append(start, np.zeros(len(steps) - start.size))
+    simplex = np.vstack([first, first + np.diag(steps)])
     found = minimize(
         negative,
         first,
@@ -232,13 +202,12 @@ def _trend(
     at, ln_likelihood = fitted
     speeds = np.log([one.speed_mm_s for one in failures])
     speeds = speeds - speeds.mean()
-    names = list(dict.fromkeys(one.specimen for one in failures))
+    specimens = int(tests.specimen.max()) + 1
     broken = sum(one.ruptured for one in failures)
-    left = broken - len(names) - 1
-    if left < 1 or all(np.ptp(speeds[tests.specimen == k]) < ONE_SPEED for k in range(len(names))):
+    left = broken - specimens - 1
+    if left < 1 or all(np.ptp(speeds[tests.specimen == k]) < ONE_SPEED for k in range(specimens)):
         return 0.0, None
-    start = (float(at[0]), float(np.exp(at[1])), float(np.exp(at[2])))
-    with_slope, higher = _most_likely(tests, start, speeds)
+    with_slope, higher = _most_likely(tests, at, speeds)
     statistic = left * float(np.expm1(2.0 * max(higher - ln_likelihood, 0.0) / broken))
     return float(with_slope[3]), float(f_distribution.sf(statistic, 1, left))
 
@@ -246,21 +215,21 @@ def _trend(
 def threshold_of(failures: Sequence[Failure], criterion: str) -> Threshold:
     """Fit the threshold of one criterion."""
     tests, growth, ln_factor = standardised(failures, criterion)
-    grid = _grid(tests)
-    fitted = _most_likely(tests, grid.best)
-    mu, s, b = float(fitted[0][0]), float(np.exp(fitted[0][1])), float(np.exp(fitted[0][2]))
+    best, ends, ln_evidence = _on_a_grid(tests)
+    fitted = _most_likely(tests, best)
+    mu, s, b = (float(value) for value in (fitted[0][0], *np.exp(fitted[0][1:])))
     trend, p = _trend(failures, tests, fitted)
-    low, high = grid.interval()
+    low, high = np.exp(growth * ends).tolist()
     names = list(dict.fromkeys(one.specimen for one in failures))
     means = specimen_means(tests, mu, s, b)
     return Threshold(
         criterion=cast("Criterion", criterion),
         unit=cast("Unit", THRESHOLD_UNITS[criterion]),
         median=float(np.exp(growth * mu)),
-        ci95=(float(np.exp(growth * low)), float(np.exp(growth * high))),
+        ci95=(low, high),
         sd_ln=growth * s,
         specimen_sd_ln=growth * b,
-        ln_evidence=grid.ln_evidence + ln_factor,
+        ln_evidence=ln_evidence + ln_factor,
         growth=growth,
         trend=growth * trend,
         trend_p=p,

@@ -219,17 +219,15 @@ def _sign(study: RuptureStudy) -> str:
 def as_document(run: RuptureRun, bundles: Mapping[str, str]) -> dict[str, Any]:
     """Write the document, its parts as they are."""
     study, refused = run.study, run.identification.refused
+
+    def members(*names: str) -> dict[str, Any]:
+        return {name: getattr(study, name) for name in names}
+
     return {
         "schema": "tissueid/rupture/1",
-        "asked": study.asked,
-        "taken": study.taken,
-        "weight": study.weight,
-        "decision": study.decision,
+        **members("asked", "taken", "weight", "decision"),
         "criteria": study.thresholds,
-        "confounding": study.confounding,
-        "speeds": study.speeds,
-        "changes": study.changes,
-        "hardening": study.hardening,
+        **members("confounding", "speeds", "changes", "hardening"),
         "tests": study.failures,
         "laws": [
             {"specimen": name, "bundle": bundles[name], "law": law.as_json()}

@@ -14,11 +14,11 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -65,8 +65,7 @@ class Record:
 
     def line(self) -> bytes:
         """One line of the checkpoint."""
-        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return json.dumps(values, allow_nan=False).encode() + b"\n"
+        return json.dumps(asdict(self), allow_nan=False).encode() + b"\n"
 
 
 def rank_of(truth: float, draws: FloatArray, rng: np.random.Generator) -> int:
@@ -111,7 +110,7 @@ def fingerprint(what: Any) -> str:
     return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
 
 
-class Checkpoint:
+class Checkpoint(AbstractContextManager["Checkpoint"]):
     """The records of a check, in a file that survives a kill."""
 
     def __init__(self, path: Path, digest: str) -> None:
@@ -158,12 +157,7 @@ class Checkpoint:
         """Records of the first simulations, in their order."""
         return tuple(self.records[index] for index in range(simulations) if index in self.records)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stream.flush()
         os.fsync(self._stream.fileno())
         self._stream.close()

@@ -14,7 +14,7 @@ from scipy.signal import lfilter, lfiltic
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
-from tissueid.inference.estimates import REFERENCE_DEPTH
+from tissueid.inference.reported import reported_draws
 from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix
 from tissueid.model.channels import ChannelModel, loading_force, minimum_on_unit
 from tissueid.priors import CalibrationPrior, Priors, SpreadPrior
@@ -214,12 +214,7 @@ def numbers_of(
     model: ChannelModel, theta: FloatArray, points: tuple[tuple[float, float], ...]
 ) -> dict[str, FloatArray]:
     """Everything that is checked of a tissue, for many at once; ``theta`` (n, p)."""
-    out: dict[str, FloatArray] = {name: theta[:, k] for k, name in enumerate(model.parameter_names)}
-    if model.viscous:
-        for branch, (part, time) in enumerate(zip(model.parts, model.time_places, strict=True)):
-            powers = (REFERENCE_DEPTH * model.depth_mm) ** np.arange(float(model.stiffness_law.powers))
-            viscosity = (theta[:, part.stiffness] @ powers) * theta[:, time]
-            out[f"viscosity_N_s_per_mm{branch_suffix(branch)}"] = viscosity
+    out = reported_draws(model, theta)
     for depth, speed in points:
         forces = [loading_force(model, one, np.array([depth]), speed_mm_s=speed)[0] for one in theta]
         out[f"force_N at {depth:.3g} mm, {speed:.3g} mm/s"] = np.array(forces)

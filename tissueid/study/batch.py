@@ -21,6 +21,7 @@ from typing import Any
 
 from tissueid.collection import (
     Collected,
+    RecentTrials,
     display_names,
     exclusion_rows,
     study_document,
@@ -48,9 +49,9 @@ from tissueid.store.merged import (
 from tissueid.store.outputs import OutputSet
 from tissueid.store.schema import check
 from tissueid.study.inventory import (
+    LOCAL,
     Inventory,
     Progress,
-    RecentTrials,
     Request,
     Workplace,
     decided_row,
@@ -290,7 +291,8 @@ class _Cohort:
         new = not self.index.knows_files()
         inventory.put_down_refusals()
         with Workplace(self.request.workers, self.request.scheduler) as workplace:
-            if workplace.shared_disk:
+            if self.request.scheduler == LOCAL:
+                # workers see the folders of this process
                 self.chains = self.run.sampling()
             at_once = self._while_read(inventory) if new and self.chains is not None else None
             if at_once is None:
@@ -349,7 +351,7 @@ class _Cohort:
                 found.append(found_in(file.path, item))
                 if isinstance(item, InputError):
                     continue
-                self.recent.keep(item)
+                self.recent.keep((item.source.path, item.source.sheet), item)
                 row = decided_row(found[-1], file.study)
                 if row.kind in {"trial", "excluded"} and row.specimen not in names:
                     if names:

@@ -189,8 +189,13 @@ class CorrectedInspection:
                 refuse(f"{said}: it was written by hand, so change it there")
             trial = read_decided_one(known.path, known.sheet, self._reading, study)
             drawn = inspection.remade(trial, study)
-            self._store(content)
-            inspection.put(place, drawn, study)
+            try:
+                write_file(self.manifest, content)
+            except OSError as error:
+                refuse(
+                    f"{self.manifest}: can't be written ({error.strerror}); check the rights of the folder"
+                )
+            inspection.shown[place], inspection.study = drawn, study
             self._seen = content
             done = "taken back in" if value is None else "written into"
             return f"{key} of {file} is {done} {MANIFEST}"
@@ -200,12 +205,6 @@ class CorrectedInspection:
         if self._inspection is None or content != self._seen:
             self._inspection, self._seen = self._inspect(), content
         return self._inspection
-
-    def _store(self, content: bytes) -> None:
-        try:
-            write_file(self.manifest, content)
-        except OSError as error:
-            refuse(f"{self.manifest}: can't be written ({error.strerror}); check the rights of the folder")
 
 
 def _value(key: str, value: Any, recording: InspectedRecording) -> float | bool | None:

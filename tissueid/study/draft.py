@@ -15,7 +15,7 @@ import tomlkit
 
 from tissueid.collection import display_names
 from tissueid.digits import number
-from tissueid.documents.measured import Measured
+from tissueid.documents.measured import Measured, MeasuredPush
 from tissueid.ingest.manifest import SCHEMA
 from tissueid.ingest.quality import capacity_in
 from tissueid.inspection import measured_of, segmented
@@ -52,20 +52,15 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """One recording's program, and what the comments count."""
+    """One recording and its program."""
 
     position: int  # of the recording among those that were given
-    specimen: str
+    trial: Trial
+    divided: Segmentation
+    push: MeasuredPush | None
     steps: tuple[Step, ...]
     cycles: int
     travel_mm: float
-    depth_mm: float | None
-    peak_N: float | None
-    preloaded: bool
-    broken: bool
-    stated_speed: float | None
-    stated_hold: float | None
-    units: tuple[str, str]
 
     @property
     def kind(self) -> str:
@@ -75,13 +70,14 @@ class _Run:
 
     def like(self, other: _Run) -> bool:
         # a header's speed is what the machine was told, whatever a soft frame made of it
-        alike = Step.like if self.stated_speed is None else Step.held_like
+        stated, its_own = self.trial.protocol.speed_mm_s, other.trial.protocol.speed_mm_s
+        alike = Step.like if stated is None else Step.held_like
         return (
             self.kind == other.kind
             and len(self.steps) == len(other.steps)
             and _near(self.cycles, other.cycles)
-            and _near(self.stated_speed, other.stated_speed)
-            and self.units == other.units
+            and _near(stated, its_own)
+            and self.trial.axes == other.trial.axes
             and all(alike(mine, its) for mine, its in zip(self.steps, other.steps, strict=True))
         )
 
@@ -107,15 +103,15 @@ class Program:
         """Its ``[[protocol]]``, without a name; what differs between recordings is left to the comments."""
         first, steps = self.runs[0], self.steps
         table: dict[str, Any] = {"kind": first.kind}
-        speeds = [step.speed_mm_s for step in steps]
-        if first.stated_speed or _all_near(speeds):
-            table["speed_mm_s"] = first.stated_speed or float(np.median(speeds))
+        speeds, stated = [step.speed_mm_s for step in steps], first.trial.protocol
+        if stated.speed_mm_s or _all_near(speeds):
+            table["speed_mm_s"] = stated.speed_mm_s or float(np.median(speeds))
         travels = [run.travel_mm for run in self.runs]
         if _all_near(travels, SAME_DEPTH):
             table["depth_mm"] = float(np.median(travels))
         holds = [step.hold_s for step in steps if step.hold_s is not None]
         if _all_near(holds):
-            table["hold_s"] = first.stated_hold or float(np.median(holds))
+            table["hold_s"] = stated.hold_s or float(np.median(holds))
         if first.cycles:
             table["cycles"] = round(float(np.median([run.cycles for run in self.runs])))
         if len(steps) > 1:
@@ -126,7 +122,7 @@ class Program:
     def name(self) -> str:
         """The program in a few words."""
         first, steps, table = self.runs[0], self.steps, self.table
-        length = first.units[0]
+        length = first.trial.axes.length
         parts = [first.kind if len(steps) < 2 else f"{first.kind} in {len(steps)} steps"]
         if "speed_mm_s" in table:
             parts.append(f"{table['speed_mm_s']:.3g} {length}/s")
@@ -140,24 +136,22 @@ class Program:
 
     def comments(self) -> list[str]:
         """Observations, with their counts."""
-        length, force = self.runs[0].units
-        specimens = {run.specimen for run in self.runs}
+        axes = self.runs[0].trial.axes
+        specimens = {run.trial.specimen for run in self.runs}
         lines = [f"{counted(len(self.runs), 'recording')} of {counted(len(specimens), 'specimen')}"]
-        for name, one, more in (
-            ("preloaded", "starts in contact", "start in contact"),
-            ("broken", "breaks", "break"),
-        ):
-            count = sum(getattr(run, name) for run in self.runs)
-            if count:
-                lines.append(f"{count} {one if count == 1 else more}")
+        divided = [run.divided for run in self.runs]
+        preloaded = sum(one.contact is not None and not one.contact.in_record for one in divided)
+        broken = sum(any(event.kind == "rupture" for event in one.events) for one in divided)
+        counts = ((preloaded, "starts in contact", "start in contact"), (broken, "breaks", "break"))
+        lines += [f"{many} {one if many == 1 else more}" for many, one, more in counts if many]
         if len(self.steps) == 1:
-            lines.append(_step_words(self.steps[0], length))
-        depths = [run.depth_mm for run in self.runs if run.depth_mm is not None]
-        peaks = [run.peak_N for run in self.runs if run.peak_N is not None]
+            lines.append(_step_words(self.steps[0], axes.length))
+        pushes = [run.push for run in self.runs if run.push is not None]
+        depths = [one.depth_mm for one in pushes if one.depth_mm is not None]
         for words, values, unit in (
-            ("travel", [run.travel_mm for run in self.runs], length),
-            ("depth below contact", depths, length),
-            ("peak force", peaks, force),
+            ("travel", [run.travel_mm for run in self.runs], axes.length),
+            ("depth below contact", depths, axes.length),
+            ("peak force", [one.peak.force_N for one in pushes], axes.force),
         ):
             if values:
                 lines.append(f"{words} {reach((min(values), max(values)))} {unit}")
@@ -165,7 +159,7 @@ class Program:
 
     def _steps_told(self) -> str:
         """The steps in words: once where they are alike."""
-        length, steps = self.runs[0].units[0], self.steps
+        length, steps = self.runs[0].trial.axes.length, self.steps
         if all(step.like(steps[0]) and _near(step.travel_mm, steps[0].travel_mm) for step in steps):
             return f"{len(steps)} steps, each {_step_words(steps[0], length)}"
         told = "; ".join(_step_words(step, length) for step in steps[:MOST_STEPS_TOLD])
@@ -190,7 +184,7 @@ def programs_of(trials: Sequence[Trial]) -> list[Program]:
 
 
 def _run(position: int, trial: Trial, divided: Segmentation, measured: Measured) -> _Run:
-    contact, push = divided.contact, measured.push
+    push = measured.push
     steps = [
         Step(hold.push.speed_mm_s, hold.push.travel_mm, hold.length_s, hold.control)
         for hold in measured.holds
@@ -199,21 +193,8 @@ def _run(position: int, trial: Trial, divided: Segmentation, measured: Measured)
     if not steps and push is not None:
         steps = [Step(push.speed_mm_s, push.travel_mm)]
     travel = divided.compression_sign * (trial.displacement_mm - trial.displacement_mm[0])
-    shown = trial.axes.as_json()
-    return _Run(
-        position=position,
-        specimen=trial.specimen,
-        steps=tuple(steps),
-        cycles=len(divided.of_kind("cycle")),
-        travel_mm=float(travel.max()),
-        depth_mm=None if push is None else push.depth_mm,
-        peak_N=None if push is None else push.peak.force_N,
-        preloaded=contact is not None and not contact.in_record,
-        broken=any(event.kind == "rupture" for event in divided.events),
-        stated_speed=trial.protocol.speed_mm_s,
-        stated_hold=trial.protocol.hold_s,
-        units=(shown["length"], shown["force"]),
-    )
+    cycles = len(divided.of_kind("cycle"))
+    return _Run(position, trial, divided, push, tuple(steps), cycles, float(travel.max()))
 
 
 def _median_step(steps: Sequence[Step]) -> Step:

@@ -112,11 +112,6 @@ class Inspection:
             refuse(str(made) if isinstance(made, Refusal) else "this inspection draws nothing")
         return made.drawn
 
-    def put(self, position: int, recording: InspectedRecording, study: Study) -> None:
-        """Take a recording that was described anew in the place of the earlier one."""
-        self.shown[position] = recording
-        self.study = study
-
     def place(self, path: str, sheet: str | None) -> int | None:
         """Position of a recording among those that are shown."""
         documents = [one.document for one in self.shown]

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
+from tissueid.collection import RecentTrials
 from tissueid.errors import InputError
 from tissueid.ingest import ReadOptions
 from tissueid.manifest import Study
@@ -69,7 +70,7 @@ def expected_seconds(samples: int, specimens: int, options: IdentifyOptions) -> 
     return samples * SECONDS_A_SAMPLE + specimens * SECONDS_SAMPLING.get(sampler, 1.0)
 
 
-class Workplace:
+class Workplace(AbstractContextManager["Workplace"]):
     """Workplace of a run; processes and connections are opened when they are first needed."""
 
     def __init__(self, workers: int | None, scheduler: str) -> None:
@@ -77,16 +78,8 @@ class Workplace:
         self._stack = ExitStack()
         self._opened: Workforce | None = None
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self._stack.close()
-
-    @property
-    def shared_disk(self) -> bool:
-        """True where workers see the folders of this process."""
-        return self._scheduler == LOCAL
 
     def workforce(
         self, tasks: int, seconds: float, function: Callable[[str, bytes], bytes], *, asked: bool
@@ -137,7 +130,7 @@ def found_in(path: str, item: Trial | InputError) -> RecordingRow:
     return RecordingRow(path, where.sheet, where.sha256, name, int(item.time_s.size), "trial", name)
 
 
-def look_into(file: NamedFile, keep: Callable[[Trial], None] | None = None) -> list[RecordingRow] | None:
+def look_into(file: NamedFile, recent: RecentTrials | None = None) -> list[RecordingRow] | None:
     """Everything a file holds, as it was read; ``None`` where it is the file that was known."""
     if file.known:
         try:
@@ -149,8 +142,8 @@ def look_into(file: NamedFile, keep: Callable[[Trial], None] | None = None) -> l
     found = []
     for item in read_decided(Path(file.path), file.options, file.study):
         found.append(found_in(file.path, item))
-        if keep is not None and isinstance(item, Trial):
-            keep(item)
+        if recent is not None and isinstance(item, Trial):
+            recent.keep((item.source.path, item.source.sheet), item)
     return found
 
 
@@ -190,37 +183,12 @@ def decided_row(row: RecordingRow, study: Study | None) -> RecordingRow:
     return replace(row, kind=kind, specimen=specimen)
 
 
-#: Samples kept between a survey and the jobs of one process [bytes].
-RECENT_BYTES = 16 * 2**20
 #: Files a task looks into: few of long recordings, more of short ones, as far as every worker has its share.
 FEW_FILES, MANY_FILES, TASKS = 8, 64, 100
 #: Bytes of the files of a task that looks into more than a few.
 BYTES_A_TASK = 2**20
 #: What reading a file is expected to cost [s a byte].
 SECONDS_A_BYTE = 1e-7
-
-
-class RecentTrials:
-    """Trials that were just read, up to a number of bytes, so that a small study is read once."""
-
-    def __init__(self) -> None:
-        self._trials: OrderedDict[tuple[str, str | None], Trial] = OrderedDict()
-        self._bytes = 0
-
-    def keep(self, trial: Trial) -> None:
-        """Remember a trial; the oldest give way."""
-        self._trials[trial.source.path, trial.source.sheet] = trial
-        self._bytes += 3 * trial.time_s.nbytes
-        while self._bytes > RECENT_BYTES:
-            _, oldest = self._trials.popitem(last=False)
-            self._bytes -= 3 * oldest.time_s.nbytes
-
-    def take(self, path: str, sheet: str | None) -> Trial | None:
-        """Give a trial away."""
-        trial = self._trials.pop((path, sheet), None)
-        if trial is not None:
-            self._bytes -= 3 * trial.time_s.nbytes
-        return trial
 
 
 class Inventory:
@@ -273,7 +241,7 @@ class Inventory:
             -(-len(waiting) // files),
             expected,
             lambda _what, payload: packed(
-                [(one.position, look_into(one, recent.keep)) for one in unpacked(payload)]
+                [(one.position, look_into(one, recent)) for one in unpacked(payload)]
             ),
             asked=False,
         )

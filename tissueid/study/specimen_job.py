@@ -12,6 +12,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from tissueid.collection import RecentTrials
 from tissueid.documents import plain
 from tissueid.errors import InputError
 from tissueid.flags import Flag
@@ -25,7 +26,6 @@ from tissueid.store.files import json_bytes
 from tissueid.store.merged import SPECIMEN_SCHEMA_VERSION, SpecimenRecord, SpecimenResult, specimen_bytes
 from tissueid.store.posteriors import posteriors_of_fits
 from tissueid.store.schema import check
-from tissueid.study.inventory import RecentTrials
 from tissueid.study.recordings import facts_of, read_decided, read_decided_one
 from tissueid.study.tasks import unpacked, versions
 from tissueid.trial import Trial
@@ -83,7 +83,7 @@ def _own_trials(job: SpecimenJob, recent: RecentTrials | None) -> Iterator[Trial
     """The recordings of the job in its order, each file opened once."""
     for path, group in groupby(job.recordings, key=lambda one: one[0]):
         wanted = {sheet: digest for _, sheet, digest in group}
-        there = [] if recent is None else [recent.take(path, sheet) for sheet in wanted]
+        there = [] if recent is None else [recent.take((path, sheet)) for sheet in wanted]
         items: Iterable[Trial | InputError] = [one for one in there if one is not None]
         if not there or None in there:
             items = read_decided(Path(path), job.reading, job.study)

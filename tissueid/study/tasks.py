@@ -6,7 +6,6 @@ death is that of a known task: the process is replaced, the task tried once more
 
 from __future__ import annotations
 
-import copyreg
 import pickle
 import platform
 import signal
@@ -15,13 +14,12 @@ from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from multiprocessing import get_context
-from types import MappingProxyType
-from typing import Any, Self
+from typing import Any
 
 from tissueid import __version__, extras
 from tissueid.errors import InputError, TissueidError, was_interrupted
@@ -56,14 +54,6 @@ class Outcome:
     result: bytes | None
     fault: Fault | None
     seconds: float = 0.0  # wall time of the computation
-
-
-def _frozen(items: dict[str, Any]) -> MappingProxyType[str, Any]:
-    return MappingProxyType(items)
-
-
-# options and studies are frozen, mappings included, and pickle knows no mapping proxies
-copyreg.pickle(MappingProxyType, lambda proxy: (_frozen, (dict(proxy),)))
 
 
 def packed(value: Any) -> bytes:
@@ -232,7 +222,7 @@ class _Worker:
         return self.process.exitcode
 
 
-class LocalProcesses(Futures):
+class LocalProcesses(Futures, AbstractContextManager["LocalProcesses"]):
     """Spawned processes of this machine."""
 
     def __init__(self, workers: int) -> None:
@@ -241,9 +231,6 @@ class LocalProcesses(Futures):
         self._idle: list[_Worker] = []
         self._busy: dict[Future[Outcome], _Worker] = {}
         self._deaths: Counter[int] = Counter()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         for worker in self._busy.values():

@@ -211,32 +211,12 @@ def low_pass(time_s: FloatArray, force_N: FloatArray, filter_s: float) -> FloatA
 GRID = 20_001
 
 
-@dataclass(frozen=True, slots=True)
-class Broken:
-    """End of a test, broken or not."""
-
-    ruptured: bool
-    #: Of the rupture; of the end of the program where there is none.
-    time_s: float
-    depth_mm: float
-    force_N: float
-    work_N_mm: float
-    threshold: float  # of this test
-
-    def as_truth(self) -> Mapping[str, float]:
-        """Entries of ``truth`` of a log."""
-        return {
-            "ruptured": float(self.ruptured),
-            "rupture_time_s": self.time_s,
-            "rupture_depth_mm": self.depth_mm,
-            "rupture_force_N": self.force_N,
-            "rupture_work_N_mm": self.work_N_mm,
-            "threshold": self.threshold,
-        }
+#: Entries of ``truth`` of the rupture; of the end of the program where there is none.
+RUPTURE = ("rupture_time_s", "rupture_depth_mm", "rupture_force_N", "rupture_work_N_mm")
 
 
-def rupture_of(rupture: Rupture, travel: Path, body: Body) -> Broken:
-    """Find where a test breaks the tissue; the threshold is that of this test."""
+def rupture_of(rupture: Rupture, travel: Path, body: Body) -> dict[str, float]:
+    """Find where a test breaks the tissue, as entries of ``truth``; the threshold is that of this test."""
     depth = contact_path(travel, body.offset_mm)
     time_s = np.union1d(np.linspace(0.0, travel.time_s[-1], GRID), depth.time_s)
     x = depth.at(time_s)
@@ -257,7 +237,8 @@ def rupture_of(rupture: Rupture, travel: Path, body: Body) -> Broken:
     k = max(int(np.argmax(reached)), 1) if reached.any() else measure.size - 1
     share = (rupture.threshold - measure[k - 1]) / (measure[k] - measure[k - 1]) if reached.any() else 1.0
     at = [float(one[k - 1] + share * (one[k] - one[k - 1])) for one in (time_s, x, force, work)]
-    return Broken(bool(reached.any()), at[0], at[1], at[2], at[3], rupture.threshold)
+    found = {"ruptured": float(reached.any()), **dict(zip(RUPTURE, at, strict=True))}
+    return found | {"threshold": rupture.threshold}
 
 
 def _spring(stiffness: tuple[float, ...], x: FloatArray, extension: FloatArray) -> FloatArray:
@@ -283,7 +264,7 @@ class SyntheticLog:
     force_clean_N: FloatArray  # (n,), force without noise, after the load channel's filter
     #: ``gain`` (of the static force), ``gain_stiffness`` (of the branches), ``contact_offset_mm``,
     #: ``speed_mm_s`` and ``depth_mm`` of the first move, ``hold_s`` of the first hold (0 without); of tissue
-    #: that can break :meth:`Broken.as_truth` as well.
+    #: that can break ``ruptured``, :data:`RUPTURE` and ``threshold`` as well.
     truth: Mapping[str, float]
 
     def __post_init__(self) -> None:
@@ -351,10 +332,9 @@ def _clean_force(recipe: Recipe, travel: Path, time_s: FloatArray, truth: dict[s
     times = oversampled(time_s) if filtered else time_s
     force = tissue_force(travel, times, body)
     if rupture is not None:
-        broken = rupture_of(rupture, travel, body)
-        truth |= broken.as_truth()
-        if broken.ruptured:
-            force = np.where(times > broken.time_s, rupture.residual * force, force)
+        truth |= rupture_of(rupture, travel, body)
+        if truth["ruptured"]:
+            force = np.where(times > truth["rupture_time_s"], rupture.residual * force, force)
     if not filtered:
         return force
     return low_pass(times, force, recipe.force_filter_s)[:: (times.size - 1) // (time_s.size - 1)]
