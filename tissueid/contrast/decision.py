@@ -1,8 +1,8 @@
 """Verdicts on two tissues: whether they differ, and whether a hand could tell; all pairs as one document.
 
-The mean difference of ln force is as far out, by Mahalanobis' distance, as a share of the draws of
-that difference are: chi-squared where they are normal, and less surprising where few
-logs leave far tails.  Limits of hands vary between studies and conditions: they say an order of magnitude.
+The mean difference of ln force is as far out, by Mahalanobis' distance, as a share of the draws of that
+difference are: chi-squared where they are normal, and less surprising where few logs leave far tails.  Limits
+of hands vary between studies and conditions: they say an order of magnitude.
 """
 
 from __future__ import annotations

@@ -9,9 +9,9 @@ At a depth d that all specimens reached the quantities are::
 with n the number of coefficients of K.  phi are the logarithms of F_s(d), of the other F_s and of eta(d) over
 it, of the other eta over eta(d), and of the shapes: a tissue that is stiffer by one factor has all forces
 larger, and a prior that holds logarithms of forces to be all but independent would call that incredible.
-Where a relaxation is no exponential, K stands for eta.  Viscosity stands for stiffness because ramps tell the product K tau (derived).  Back from
-phi a tissue may be negative between the depths or leave its bounds: a draw of it is refused by who asked
-for it.
+Where a relaxation is no exponential, K stands for eta.  Viscosity stands for stiffness because ramps tell the
+product K tau (derived).  Back from phi a tissue may be negative between the depths or leave its bounds: a
+draw of it is refused by who asked for it.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Coordinates:
 
     @property
     def logs(self) -> FloatArray:
-        """Logarithms of the quantities by phi, (p, p), of determinant 1: what is a ratio has its base added."""
+        """From phi to logarithms of the quantities, (p, p), of determinant 1: a ratio has its base added."""
         force = self.static_at_depth
         base = np.zeros((self.size, self.size))
         base[:force, force] = 1.0
