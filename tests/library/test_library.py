@@ -121,7 +121,7 @@ def test_a_fixed_time_of_the_paper_s_model_keeps_its_order(datasets):
 
 
 def test_a_search_that_tries_a_frame_softer_than_the_tissue_comes_back():
-    # a branch too few: the search tries the machine in its place, where derivatives ran away in two of 16 seeds
+    # a branch too few: the search tries the machine in its place; derivatives ran away in two of 16 seeds
     time = np.arange(0.0, 7.7, 0.004)
     depth = np.minimum(1000.0 / 60.0 * time, 3.3)
     force = kelvin_voigt(2, 1, 3.3).force(
