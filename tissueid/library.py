@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,7 @@ from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.reported import at_samples, half_width, reported_draws
 from tissueid.inference.specimen import FitOptions, FittedSpecimen, fit_with_state, force_along
 from tissueid.ingest import ReadOptions, find_inputs, read_each
+from tissueid.model.base import branch_suffix
 from tissueid.model.composed import ContactModel
 from tissueid.model.grammar import KELVIN_VOIGT, candidates
 from tissueid.notebook import MEASURED, MODEL, drawing, html_of, svg_file
@@ -258,16 +260,18 @@ class Fit(_Reported):
         linear, shapes = dict(priors.linear), dict(priors.shapes)
         law = self.fitted.identified.law
         positive = {one.name for one in law.model().parameters} - set(law.linear_names)
+        names = [f"relaxation_time_s{branch_suffix(j)}" for j in range(law.counts[0])]
+        times = dict(zip_longest(names, priors.relaxation_time_s[: len(names)]))
         for name, value in values.items():
             one = self.parameter(name)
             if one.name in law.linear_names:
                 linear[one.name] = (float(value), FIXED * max(abs(float(value)), FIXED))
             elif one.name in positive and value > 0.0:
-                shapes[one.name] = SpreadPrior(float(value), FIXED)
+                (times if one.name in times else shapes)[one.name] = SpreadPrior(float(value), FIXED)
             else:
                 why = "has to be positive" if one.name in positive else "follows from other parameters"
-                names = ", ".join(law.model().parameter_names)
-                refuse(f"{name} = {value:g}: {one.name} {why}; {names} can be fixed")
+                told = ", ".join(law.model().parameter_names)
+                refuse(f"{name} = {value:g}: {one.name} {why}; {told} can be fixed")
         options = self.setting.options
         if self.result.model.key == KELVIN_VOIGT:
             chosen = self.result.model
@@ -279,7 +283,7 @@ class Fit(_Reported):
             )
         return fit(
             self.trials, specimen=self.result.specimen, options=options, segment=self.setting.segment,
-            priors=replace(priors, linear=linear, shapes=shapes),
+            priors=replace(priors, linear=linear, shapes=shapes, relaxation_time_s=tuple(times.values())),
         )  # fmt: skip
 
     def force(self, trial: Trial) -> FloatArray:

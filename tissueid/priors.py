@@ -101,7 +101,7 @@ class Priors:
     linear : mapping
         Parameter name (``static_1_N_per_mm``, ``stiffness_0_N_per_mm_b2``, ...) -> (mean, sd); names that are
         missing are weak.
-    relaxation_time_s : tuple of SpreadPrior
+    relaxation_time_s : tuple of SpreadPrior or None
         One a branch by ascending time; branches without one are uniform in ln tau on [h/5, 10 T].
     shapes : mapping
         Name of a shape of a law -> SpreadPrior; those that are missing are uniform in their logarithm.
@@ -116,7 +116,7 @@ class Priors:
     """
 
     linear: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    relaxation_time_s: tuple[SpreadPrior, ...] = ()
+    relaxation_time_s: tuple[SpreadPrior | None, ...] = ()
     shapes: Mapping[str, SpreadPrior] = field(default_factory=dict)
     sigma_N: SpreadPrior | None = None
     phi: tuple[float, float] = (0.0, 1.0)
@@ -133,7 +133,7 @@ class Priors:
     def as_json(self) -> dict[str, Any]:
         """Stated priors of tissue and noise, with the defaults in use, as ``[priors]`` of study.toml."""
         linear: dict[str, Any] = {name: {"mean": mean, "sd": sd} for name, (mean, sd) in self.linear.items()}
-        times = [asdict(one) for one in self.relaxation_time_s]
+        times = [None if one is None else asdict(one) for one in self.relaxation_time_s]
         return {
             **linear,
             **{name: asdict(one) for name, one in self.shapes.items()},

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cohort_outputs import cohort_folder
 from command_line import read_json, run, write_log
 from rendered_tissues import PAPER_A, bundle_of
 
@@ -32,6 +33,18 @@ def test_a_stiffer_tissue_differs_and_could_be_felt(tmp_path):
     assert document["pairs"][0]["difference"]["different"] is True
     said = ("kidney (1) and kidney (2): not shown to differ", "a hand would hardly tell")
     run("compare", one, one, shown=said)
+
+
+def test_folders_are_compared_by_draws_that_know_the_machine_and_bundles_say_that_theirs_do_not(tmp_path):
+    folder = cohort_folder(tmp_path / "out", 2)
+    for args, interval, remarks in (
+        ((folder,), "total", 0),
+        ((folder, "--interval", "statistical"), "statistical", 1),
+        (sorted(folder.glob("bundle-*.h5")), "statistical", 1),
+    ):
+        document = run("compare", *args, "--json").json("contrast")
+        assert {one["interval"] for one in document["tissues"]} == {interval}
+        assert sum("machine" in one for one in document["remarks"]) == remarks
 
 
 @pytest.mark.parametrize(

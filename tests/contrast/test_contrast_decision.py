@@ -58,6 +58,9 @@ def test_what_is_common_is_the_shallower_depth_and_the_narrower_speeds() -> None
     assert common_range([one, other]) == Common(8.0, (1.0, 500.0 / 60.0))
     with pytest.raises(UsageError, match="no speed is common"):
         common_range([one, replace(other, speeds_mm_s=(10.0, 20.0))])
+    # one program, as two recordings of it have its speed
+    held = [replace(one, speeds_mm_s=(speed, speed)) for speed in (4.16666658, 4.1666667)]
+    assert common_range(held).speeds_mm_s == pytest.approx((4.1666667, 4.1666667))
     with pytest.raises(UsageError, match="too few"):
         replace(one, draws=one.draws[:10])
 
@@ -76,6 +79,29 @@ def test_the_test_has_its_level_where_posteriors_are_normal() -> None:
         probabilities.append(difference(*named).probability)
     # uniform where it is right: 400 of them leave that with 1 %, this seed does not
     assert kstest(probabilities, "uniform").pvalue > 0.01
+
+
+def test_the_test_has_its_level_where_draws_have_far_tails() -> None:
+    chance = np.random.default_rng(20_261_129)
+    called = 0
+    for _ in range(400):
+        named = []
+        for _ in range(2):
+            # few logs leave the scale of what is known open
+            values = 3.0 + 0.02 * chance.standard_t(3, 4)[0] + 0.02 * chance.standard_t(3, 2000)
+            named.append({"force": np.exp(values)})
+        called += difference(*named).different
+    # 2 % of 400 are 8; more than 17 are one in a thousand
+    assert called <= 17
+
+
+def test_what_the_intervals_do_not_know_is_said() -> None:
+    once, often = (replace(compared(PAPER_A, seed=seed), logs=seed, total=True) for seed in (1, 2))
+    assert contrast_document([often, often], clamp_N=5.0)["remarks"] == []
+    (found,) = contrast_document([often, once], clamp_N=5.0)["remarks"]
+    assert found.startswith(f"1 of 2 tissues (first {once.name}) have one log")
+    (found,) = contrast_document([often, replace(often, total=False)], clamp_N=5.0)["remarks"]
+    assert found.startswith("statistical intervals hold the machine at each fit's own estimate")
 
 
 def test_a_tissue_beside_itself_and_beside_a_stiffer_one() -> None:

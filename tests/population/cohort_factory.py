@@ -76,15 +76,15 @@ def members(
     draws: int = 1000,
     common: float = 0.9,
 ) -> tuple[Member, ...]:
-    """Specimens around the typical tissue; ``common`` is the correlation between their quantities."""
+    """Specimens around the typical tissue; ``common`` is the correlation between logarithms of quantities."""
     rng = np.random.default_rng(seed)
-    centre = COORDINATES.to_phi(TYPICAL)[0][0]
+    centre, ratios = COORDINATES.to_phi(TYPICAL)[0][0], np.linalg.inv(COORDINATES.logs).T
     made = []
     for i in range(count):
         shared = np.sqrt(common) * rng.standard_normal() + np.sqrt(1.0 - common) * rng.standard_normal(5)
-        place = centre + between * shared
+        place = centre + between * (shared * np.ones(5)) @ ratios
         truth = COORDINATES.to_theta(place)[0]
-        phi = place + np.array(own) * (rng.standard_normal(5) + rng.standard_normal((draws, 5)))
+        phi = place + np.array(own) * (rng.standard_normal(5) + rng.standard_normal((draws, 5))) @ ratios
         theta = COORDINATES.to_theta(phi)
         good = COORDINATES.passive(theta)
         gains = np.exp(within * rng.standard_normal(repeats))

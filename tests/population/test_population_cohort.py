@@ -55,6 +55,23 @@ def test_a_cohort_is_described_compared_and_predicted(found):
     assert held.nrmsd_mean.median > held.nrmsd_range.median > 0.0
 
 
+def test_specimens_that_differ_by_a_factor_alone_differ_by_that_factor():
+    made = members(6, seed=4, between=0.2, own=(0.004,) * 5, common=1.0, draws=500)
+    heavy = np.random.default_rng(8)
+    # the gain of few logs has far tails, and a specimen some draws that are far off
+    made = tuple(
+        replace(one, draws=np.column_stack([one.draws[:, :4] * gain, one.draws[:, 4:]]))
+        for one in made
+        for gain in [np.exp(0.03 * heavy.standard_t(3, (len(one.draws), 1)))]
+    )
+    found = cohort(made, CohortOptions(sampler=QUICK, hold_out=False)).population.told
+    alone = np.log([row.separate for row in found.specimens])
+    for k, row in enumerate(found.quantities[:4]):
+        assert row.median == pytest.approx(np.exp(alone[:, k].mean()), rel=0.1)
+        assert row.sd_ln_ci95[0] < alone[:, k].std(ddof=1) < row.sd_ln_ci95[1]
+    assert np.log([row.pooled for row in found.specimens]) == pytest.approx(alone, abs=0.05)
+
+
 @pytest.mark.slow
 def test_a_bundle_of_the_population_is_written_and_read(found, tmp_path):
     document = as_document(found, CohortOptions(sampler=SHORT), source="0" * 64)
@@ -199,7 +216,7 @@ def with_one_gain(made: tuple[Member, ...], sd: float, rng: np.random.Generator)
     out = []
     for one in made:
         phi, _ = COORDINATES.to_phi(one.draws)
-        gained = COORDINATES.to_theta(phi + np.outer(sd * rng.standard_normal(len(phi)), [1, 1, 1, 1, 0]))
+        gained = COORDINATES.to_theta(phi + np.outer(sd * rng.standard_normal(len(phi)), [0, 0, 1, 0, 0]))
         out.append(replace(one, draws_total=gained))
     return tuple(out)
 

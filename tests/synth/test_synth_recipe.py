@@ -77,6 +77,10 @@ def test_recipe_survives_its_toml(tmp_path, known):
             'name = "x"\n[[logs]]\nname = "a"\nmoves = [{to_mm = 1.0, speed_mm_min = 0.0}]',
             "speed or duration",
         ),
+        (
+            'name = "x"\n' + "[[logs]]\nname = 'a'\nmoves = [{to_mm = 1.0, speed_mm_min = 60.0}]\n" * 2,
+            "two logs have one name",
+        ),
     ],
 )
 def test_bad_recipe_is_refused_with_its_reason(tmp_path, text, reason):

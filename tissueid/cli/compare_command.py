@@ -30,9 +30,9 @@ CLAMP_N = 5.0
 class _CompareFlags(ReadingFlags, OutputFlags):
     # fmt: off
     paths: tuple[str, ...] = argument(required=True, type=PATH)
-    interval: Literal["statistical", "total"] = option(
-        "total for recordings of different machines: it knows their calibration. Needs output folders.",
-        default="statistical",
+    interval: Literal["statistical", "total"] | None = option(
+        "statistical holds the machine at each fit's own estimate of it: for machines that are stated.",
+        show_default="total of output folders, statistical of bundles",
     )
     clamp: float = option(
         "Largest force of the device at which a hand would feel them.",
@@ -48,7 +48,7 @@ class _CompareFlags(ReadingFlags, OutputFlags):
 @subcommand(
     "compare",
     "out/bundle-kidney.h5 out/bundle-liver.h5",
-    "before/ after/ --interval total",
+    "before/ after/",
     "out -o compared",
     "slow.csv fast.csv",
 )
@@ -57,8 +57,7 @@ def command(flags: _CompareFlags) -> int:
 
     PATHS are bundles, or output folders of which every specimen is taken. Forces at depths and speeds that
     all were identified at are tested together, pair by pair; numbers stand beside each other with the
-    probability that one is larger, and of output folders what was measured, no model. Two recordings of one
-    machine share its calibration, two machines do not.
+    probability that one is larger, and of output folders what was measured, no model.
 
     PATHS may be recordings or folders of them instead, each one side: what was measured stands beside each
     other, no model. A number that depends on the ramp is compared within one program only.
@@ -71,7 +70,9 @@ def command(flags: _CompareFlags) -> int:
     from tissueid.contrast.decision import contrast_document
     from tissueid.measured.spread import measured_pairs
 
-    both = [tissue for path in flags.paths for tissue in _tissues(Path(path), flags.interval)]
+    bundles = any(Path(path).is_file() for path in flags.paths)
+    interval = flags.interval or ("statistical" if bundles else "total")
+    both = [tissue for path in flags.paths for tissue in _tissues(Path(path), interval)]
     if len(both) < 2:
         refuse("one tissue is nothing to compare: name a second bundle or output folder")
     tissues = _apart([tissue for tissue, _ in both])
@@ -142,7 +143,8 @@ def _compared(bundle: Bundle, stored: StoredPosterior | None, interval: str = "s
     if draws is None:
         kind = " with the machine's calibration" if interval == "total" else ""
         refuse(f"{bundle.specimen}: there are no draws{kind}; fit with a sampler, or --interval statistical")
-    return Compared(bundle.specimen, model, draws, bundle.speeds_mm_s, total=interval == "total")
+    logs = len(bundle.provenance.get("inputs", ())) or None
+    return Compared(bundle.specimen, model, draws, bundle.speeds_mm_s, total=interval == "total", logs=logs)
 
 
 def _apart(tissues: list[Compared]) -> list[Compared]:
@@ -166,6 +168,7 @@ def _lines(document: Contrast) -> Iterator[str]:
     common = document.common
     slow, fast = common.speeds_mm_s
     yield f"compared to {common.depth_mm:.3g} mm, {slow:.3g} to {fast:.3g} mm/s"
+    yield from (f"! {remark}" for remark in document.remarks)
     for pair in document.pairs:
         verdict = "differ" if pair.difference.different else "not shown to differ"
         probability = pair.difference.probability

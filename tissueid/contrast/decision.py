@@ -1,8 +1,8 @@
 """Verdicts on two tissues: whether they differ, and whether a hand could tell; all pairs as one document.
 
-Mahalanobis' distance of the mean difference of ln force, with the covariance of both posteriors, is
-chi-squared where the tissues are one.  Limits of hands vary between studies and conditions: they say an order
-of magnitude.
+The mean difference of ln force is as far out, by Mahalanobis' distance, as a share of the draws of that
+difference are: chi-squared where they are normal, and less surprising where few logs leave far tails.  Limits
+of hands vary between studies and conditions: they say an order of magnitude.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from tissueid import __version__
 from tissueid.arrays import FloatArray, evenly
@@ -32,6 +31,7 @@ from tissueid.documents.contrast import (
     Tissue,
 )
 from tissueid.errors import refuse
+from tissueid.measured.spread import SAME_SPEED
 from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.functionals import force_after_ramp
 from tissueid.model.passivity import scaling_for
@@ -58,9 +58,7 @@ def rows(one: Draws, other: Draws) -> list[Number]:
     """Numbers that both have, beside each other."""
     found = []
     for name, a, b in _both(one, other):
-        # every pair of independent draws is as good as any other: a shift makes new ones
-        shifts = [np.roll(b, b.size * k // 7) for k in range(7)]
-        ratio = None
+        shifts, ratio = _shifted(b), None
         if a.min() > 0.0 and b.min() > 0.0:
             ratio = _central(np.concatenate([shift / a for shift in shifts]))
         # a tie is half of either
@@ -71,15 +69,23 @@ def rows(one: Draws, other: Draws) -> list[Number]:
 
 def difference(one: Draws, other: Draws) -> Difference:
     """Test all forces together: numbers whose names begin with "force", draws by name."""
-    names = [name for name in one if name.startswith("force") and name in other]
-    a, b = (np.log(np.maximum([of[name] for name in names], 1e-12)) for of in (one, other))
+    pairs = [(a, b) for name, a, b in _both(one, other) if name.startswith("force")]
+    a, b = (np.log(np.maximum(of, 1e-12)) for of in zip(*pairs, strict=True))
     gap = b.mean(axis=1) - a.mean(axis=1)
     values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(a) + np.cov(b)))
     used = values > NEGLIGIBLE * values.max()
-    distance = float(np.sum((vectors.T @ gap)[used] ** 2 / values[used]))
-    directions = int(used.sum())
-    probability = float(chi2.sf(distance, directions))
-    return Difference(distance, directions, probability, probability < LEVEL)
+    root = vectors[:, used] / np.sqrt(values[used])
+    distance = float(np.sum((gap @ root) ** 2))
+    apart = np.concatenate([(shift - a).T - gap for shift in _shifted(b)])
+    farther = int(np.count_nonzero(np.sum((apart @ root) ** 2, axis=1) >= distance))
+    probability = (1 + farther) / (1 + len(apart))
+    return Difference(distance, int(used.sum()), probability, probability < LEVEL)
+
+
+def _shifted(draws: FloatArray) -> list[FloatArray]:
+    """Draws in other orders: every pair of independent draws is as good as any other."""
+    count = draws.shape[-1]
+    return [np.roll(draws, count * k // 7, axis=-1) for k in range(7)]
 
 
 def _central(values: FloatArray) -> Quantiles:
@@ -141,6 +147,7 @@ class Compared:
     draws: FloatArray  # (n, p), of its posterior
     speeds_mm_s: tuple[float, float]  # slowest and fastest identified speed
     total: bool  # whether the draws know the machine's calibration
+    logs: int | None = None  # recordings behind it, where known
 
     def __post_init__(self) -> None:
         if len(self.draws) < LEAST_DRAWS:
@@ -158,7 +165,7 @@ def common_range(tissues: Sequence[Compared]) -> Common:
     """Depths and speeds at which every tissue was identified; without a common speed nothing is compared."""
     slow = max(tissue.speeds_mm_s[0] for tissue in tissues)
     fast = min(tissue.speeds_mm_s[1] for tissue in tissues)
-    if slow > fast * (1.0 + 1e-9):
+    if slow > fast * SAME_SPEED:
         told = "; ".join(
             f"{tissue.name} at {tissue.speeds_mm_s[0]:.3g} to {tissue.speeds_mm_s[1]:.3g} mm/s"
             for tissue in tissues
@@ -236,6 +243,23 @@ def _band(forces: FloatArray) -> list[tuple[float, ...]]:
     return [tuple(row.tolist()) for row in np.quantile(forces, CENTRAL, axis=0)]
 
 
+def _remarks(tissues: Sequence[Compared]) -> list[str]:
+    """Words on what intervals do not know."""
+    found = []
+    if not all(one.total for one in tissues):
+        found.append(
+            "statistical intervals hold the machine at each fit's own estimate: where it was not stated, one "
+            "tissue may be called different; name output folders, with --interval total"
+        )
+    once = [one.name for one in tissues if one.logs == 1]
+    if once:
+        found.append(
+            f"{len(once)} of {len(tissues)} tissues (first {once[0]}) have one log: what two pushes into one "
+            "tissue differ by is in no interval, and 'differ' may say no more; push again"
+        )
+    return found
+
+
 def _told(one: Compared) -> Tissue:
     order = (one.model.branches, one.model.stiffness_degree)
     return Tissue(one.name, *order, len(one.draws), "total" if one.total else "statistical")
@@ -275,4 +299,5 @@ def contrast_document(
         "tissues": plain([_told(tissue) for tissue in tissues]),
         "curves": plain(force_curves(list(tissues), common)),
         "pairs": plain(pairs),
+        "remarks": _remarks(tissues),
     }

@@ -127,6 +127,7 @@ class Contrast(Document, frozen=True):
     tissues: Annotated[tuple[Tissue, ...], Meta(min_length=2)]
     curves: Annotated[tuple[Curve, ...], Meta(min_length=2)]  # Forces of every tissue, in their order
     pairs: tuple[Pair, ...]
+    remarks: tuple[str, ...] = ()  # What the intervals do not know
     measured: tuple[MeasuredPair, ...] | None = None  # Measured, no model, pair by pair; of output folders
 
 

@@ -30,6 +30,8 @@ WORSE, BACK = 1.0, 64.0
 #: Gain of a step of a search that only compares: at least this, and this share of what it is behind another
 #: optimum; steps in turn that gain less end it.
 LITTLE, CATCHING_UP, SLOW_STEPS = 0.02, 0.2, 2
+#: Derivative, in standard deviations of the noise, that no data have.
+RUNAWAY = 1e12
 #: Curvature of a direction that has none: the relaxation time of a branch without stiffness.
 FLAT = 1e-6
 #: Constraint slack, relative to the row's size, that counts as active.
@@ -172,7 +174,7 @@ def normal_equations(
     """Assemble the quadratic model at a point."""
     residual = white(system.force - parts.force) / sigma_N
     shared = white(parts.shared) / sigma_N
-    own = white(parts.own) / sigma_N if parts.own.shape[1] else parts.own
+    own = np.clip(white(parts.own) / sigma_N, -RUNAWAY, RUNAWAY) if parts.own.shape[1] else parts.own
     off = prior.rows @ point.shared - prior.target
     hessian = shared.T @ shared + prior.rows.T @ prior.rows
     gradient = shared.T @ residual - prior.rows.T @ off
@@ -372,7 +374,10 @@ def minimise(
 
 def _rise(system: System, here: _At, there: _At, *, scaled: bool) -> float:
     """Rise by a step that is up with its own deflection; ``scaled``: the noise follows the residuals."""
-    if here.frame.settled and not there.frame.settled:
+    # behind a frame softer than the tissue derivatives may run away while the force has not
+    curved = np.diag(there.normal.loose.hessian)
+    lost = not (curved.min() > -FLAT and curved.max() < RUNAWAY**2)
+    if lost or (here.frame.settled and not there.frame.settled):
         return float("inf")
     if not scaled:
         return there.normal.objective - here.normal.objective

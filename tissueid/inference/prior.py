@@ -20,7 +20,7 @@ from tissueid.inference.law import TINY
 from tissueid.inference.system import MACHINE, SHAPE, Point, System
 from tissueid.manifest import Calibration, FrameCurve
 from tissueid.model.frame import deflection, deflection_sd
-from tissueid.priors import CALIBRATION_DEFAULTS, WEAK_FACTOR, CalibrationPrior, Priors
+from tissueid.priors import CALIBRATION_DEFAULTS, WEAK_FACTOR, CalibrationPrior, Priors, SpreadPrior
 
 #: Relaxation times are sought between a fifth of the shortest step and ten times the longest log.
 BELOW_STEP, ABOVE_LENGTH = 0.2, 10.0
@@ -77,6 +77,13 @@ def _linear_rows(law: ChannelLaw, largest: FloatArray, force: float) -> FloatArr
     return rows
 
 
+def stated_shapes(law: ChannelLaw, priors: Priors) -> dict[int, SpreadPrior]:
+    """Priors that are stated of shapes, by their place among the engine's; a time's own comes first."""
+    found = {j: priors.shapes.get(one.spec.name) for j, one in enumerate(law.shapes)}
+    found |= {j: one for j, one in enumerate(priors.relaxation_time_s[: law.counts[0]]) if one is not None}
+    return {j: one for j, one in found.items() if one is not None}
+
+
 def _stated_rows(law: ChannelLaw, point: Point, priors: Priors) -> tuple[FloatArray, FloatArray]:
     """Rows of coefficients that a study states, in units of the field, which follow the shapes of a law."""
     t, m = law.times, len(MACHINE)
@@ -124,11 +131,8 @@ def prior_rows(system: System, scatter: Scatter, priors: Priors, point: Point, *
     for j in range(t):
         bounds[2 * j, j], bound[2 * j] = 1.0, low[j]
         bounds[2 * j + 1, j], bound[2 * j + 1] = -1.0, -high[j]
-        stated = priors.shapes.get(law.shapes[j].spec.name)
-        if j < min(len(priors.relaxation_time_s), law.counts[0]):
-            stated = priors.relaxation_time_s[j]
-        if stated is not None:
-            told(j, float(np.log(stated.median)), stated.sd_ln)
+    for j, stated in stated_shapes(law, priors).items():
+        told(j, float(np.log(stated.median)), stated.sd_ln)
     if machine:
         for j, name in enumerate(MACHINE):
             told(t + j, priors.calibration[name].mean, priors.calibration[name].sd)

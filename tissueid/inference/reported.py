@@ -18,7 +18,7 @@ from tissueid.documents.identification import BudgetRow, PriorRow, Source
 from tissueid.inference.engine import Identified
 from tissueid.inference.estimates import REFERENCE_DEPTH
 from tissueid.inference.optimum import minimise
-from tissueid.inference.prior import bernstein, prior_rows, time_bounds
+from tissueid.inference.prior import bernstein, prior_rows, stated_shapes, time_bounds
 from tissueid.inference.system import MACHINE, Effects, Point, System
 from tissueid.inference.target import SpecimenTarget
 from tissueid.model.base import ContactPath, branch_suffix
@@ -240,7 +240,7 @@ def prior_table(
     """Every prior of a specimen, its posterior and the shrinkage between them."""
     priors, places = target.priors, target.places
     rows, (low, high) = _linear(target, theta), time_bounds(target.system)
-    stated = dict(_stated_shapes(target))
+    stated = stated_shapes(target.law, priors)
     for j, shape in enumerate(target.law.shapes):
         name, unit, ends = shape.spec.name, shape.spec.unit, (shape.spec.lower, shape.spec.upper)
         if j < target.law.counts[0]:
@@ -284,22 +284,12 @@ def log_theta_prior(target: SpecimenTarget, theta: FloatArray) -> FloatArray:
         rows = bernstein(one.size) if one.polynomial else np.eye(one.size)
         value -= 0.5 * ((linear[:, one.at] @ rows.T) ** 2).sum(axis=1) * (state / spread) ** 2
         value += one.size * np.log(state)
-    for j, given in _stated_shapes(target):
+    for j, given in stated_shapes(law, priors).items():
         value -= 0.5 * ((logs[:, j] - math.log(given.median)) / given.sd_ln) ** 2
     for name, (mean, sd) in priors.linear.items():
         if name in model.parameter_names:
             value -= 0.5 * ((theta[:, model.parameter_names.index(name)] - mean) / sd) ** 2
     return np.asarray(value)
-
-
-def _stated_shapes(target: SpecimenTarget) -> list[tuple[int, SpreadPrior]]:
-    """Priors that a study states of shapes, by their place among the engine's."""
-    times, priors = target.law.counts[0], target.priors
-    out = list(enumerate(priors.relaxation_time_s[:times]))
-    for j, shape in enumerate(target.law.shapes[times:], times):
-        if shape.spec.name in priors.shapes:
-            out.append((j, priors.shapes[shape.spec.name]))
-    return out
 
 
 def half_width(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -67,7 +67,7 @@ def shared_instrument(members: Sequence[Member], coordinates: Coordinates) -> Sh
     for one in members:
         if one.draws_total is None or len(one.draws_total) < 2:
             continue
-        total, own = coordinates.to_phi(one.draws_total)[0], coordinates.to_phi(one.draws)[0]
+        total, own = (coordinates.to_phi(x)[0] @ coordinates.logs.T for x in (one.draws_total, one.draws))
         shifts.append(np.median(total, axis=0) - np.median(own, axis=0))
         more.append(central_covariance(total) - central_covariance(own))
     if len(shifts) < max(FEWEST_SHARE * len(members), 1):
@@ -88,6 +88,22 @@ def central_covariance(draws: FloatArray) -> FloatArray:
 OUTLIER_PROBABILITY = 0.5
 #: Groups of which every pair is compared; of more, each is compared with the largest.
 MOST_PAIRED = 4
+
+
+def of_quantities(draws: PopulationDraws, logs: FloatArray) -> PopulationDraws:
+    """Draws of logarithms of the quantities; ``logs`` as in :attr:`Coordinates.logs`."""
+    covariance = logs @ (draws.correlation * draws.sd[..., None] * draws.sd[..., None, :]) @ logs.T
+    sd = np.sqrt(np.einsum("...kk->...k", covariance))
+    widths = [np.median(one.reshape(-1, len(logs)), axis=0) for one in (draws.sd, sd)]
+    return replace(
+        draws,
+        coefficient=draws.coefficient @ logs.T,
+        level_sd=np.sqrt(draws.level_sd**2 @ logs.T**2),
+        sd=sd,
+        correlation=covariance / (sd[..., None] * sd[..., None, :]),
+        specimens=draws.specimens @ logs.T,
+        deviation=(draws.deviation * widths[0]) @ logs.T / widths[1],
+    )
 
 
 def quantity_rows(
@@ -138,7 +154,7 @@ def specimen_rows(
     smoothed = set(draws.smoothed.tolist())
     rows = []
     for i, one in enumerate(members):
-        own = np.asarray(stage.phi[i], dtype=np.float64)
+        own = stage.phi[i] @ coordinates.logs.T
         pooled = draws.specimens[:, i]
         farthest = int(np.abs(draws.deviation[i]).argmax())
         spread = np.maximum(own.var(axis=0), 1e-300)
@@ -500,29 +516,30 @@ def _population(
     tick("drawing specimens from the population")
     predictive = predictive_specimens(draws, coordinates, rng)
     instrument = shared_instrument(members, coordinates)
-    sd = draws.sd.reshape(-1, coordinates.size)
-    own_sd = np.median([one.std(axis=0) for one in stage.phi], axis=0)
+    shown = of_quantities(draws, coordinates.logs)
+    sd = shown.sd.reshape(-1, coordinates.size)
+    own_sd = np.median([(one @ coordinates.logs.T).std(axis=0) for one in stage.phi], axis=0)
     predicted = None
     if options.hold_out:
         tick("predicting held-out specimens")
         fresh = np.random.default_rng([options.sampler.seed, 3])
         predicted = held_out(members, draws, design, coordinates, fresh)
-    law, correlation = coordinates.model, draws.correlation.reshape(-1, coordinates.size, coordinates.size)
+    law, correlation = coordinates.model, shown.correlation.reshape(-1, coordinates.size, coordinates.size)
     heavy = None
     if np.isfinite(draws.nu).all():
         heavy = documents.DegreesOfFreedom(float(np.median(draws.nu)), interval_95(draws.nu))
     told = documents.Populations(
         model=documents.Model(law.branches, law.stiffness_degree, law.name),
         depth_mm=coordinates.depth_mm,
-        quantities=quantity_rows(draws, coordinates, design, instrument, rng),
+        quantities=quantity_rows(shown, coordinates, design, instrument, rng),
         correlation=np.clip(np.median(correlation, axis=0), -1.0, 1.0).tolist(),
         degrees_of_freedom=heavy,
         groups=design.compared,
-        effects=effect_rows(draws, coordinates, design),
-        specimens=specimen_rows(members, stage, draws, coordinates),
+        effects=effect_rows(shown, coordinates, design),
+        specimens=specimen_rows(members, stage, shown, coordinates),
         repeatability=repeatability(members, sd[:, coordinates.static_at_depth], rng),
         held_out=predicted,
-        cohort_size=size_rows(coordinates.names, sd, np.asarray(own_sd, dtype=np.float64)),
+        cohort_size=size_rows(coordinates.names, sd, own_sd),
         predictive=documents.Predictive(
             len(predictive.theta), predictive.refused, predictive.typical_is_drawn
         ),

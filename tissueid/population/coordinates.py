@@ -1,15 +1,17 @@
 """The coordinates in which specimens are compared: logarithms of positive numbers of the tissue.
 
-At a depth d that all specimens reached::
+At a depth d that all specimens reached the quantities are::
 
-    phi = ( ln F_s(d/m), ln F_s(2d/m) .. ln F_s(d),   m coefficients of the static law, then its shapes,
-            then for each relaxing part
-            ln eta(x_1) .. ln eta(x_n), shapes ),     eta(x) = K(x) tau,  x_k = k d / n
+    F_s(d/m), F_s(2d/m) .. F_s(d),   m coefficients of the static law, then its shapes,
+    then for each relaxing part
+    eta(x_1) .. eta(x_n), shapes,    eta(x) = K(x) tau,  x_k = k d / n
 
-with n the number of coefficients of K.  A shape is its own logarithm; where a relaxation is no exponential,
-K stands for eta.  Viscosity stands for stiffness because ramps tell the product K tau (derived).  Back from
-phi a tissue may be negative between the depths or leave its bounds: a draw of it is refused by who asked
-for it.
+with n the number of coefficients of K.  phi are the logarithms of F_s(d), of the other F_s and of eta(d) over
+it, of the other eta over eta(d), and of the shapes: a tissue that is stiffer by one factor has all forces
+larger, and a prior that holds logarithms of forces to be all but independent would call that incredible.
+Where a relaxation is no exponential, K stands for eta.  Viscosity stands for stiffness because ramps tell the
+product K tau (derived).  Back from phi a tissue may be negative between the depths or leave its bounds: a
+draw of it is refused by who asked for it.
 """
 
 from __future__ import annotations
@@ -63,8 +65,19 @@ class Coordinates:
         return self.model.time_places
 
     @property
+    def logs(self) -> FloatArray:
+        """From phi to logarithms of the quantities, (p, p), of determinant 1: a ratio has its base added."""
+        force = self.static_at_depth
+        base = np.zeros((self.size, self.size))
+        base[:force, force] = 1.0
+        for at, _ in self._blocks():
+            base[at, force] = 1.0
+            base[at.start : at.stop - 1, at.stop - 1] = 1.0
+        return np.eye(self.size) + base
+
+    @property
     def names(self) -> tuple[str, ...]:
-        """Names of the quantities whose logarithms are the coordinates; units at their end."""
+        """Names of the quantities, units at their end."""
         return tuple(name for name, _, _ in self._described())
 
     @property
@@ -111,11 +124,12 @@ class Coordinates:
         values = self.quantities(theta)
         floor = FLOOR_SHARE * np.maximum(np.median(values, axis=0), np.finfo(np.float64).tiny / FLOOR_SHARE)
         low = values < floor
-        return np.log(np.where(low, floor, values)), int(low.any(axis=1).sum())
+        phi = np.log(np.where(low, floor, values)) @ np.linalg.inv(self.logs).T
+        return phi, int(low.any(axis=1).sum())
 
     def to_theta(self, phi: FloatArray) -> FloatArray:
         """Theta of the tissues at phi, shape (n, p); inverse of :meth:`to_phi` where nothing was floored."""
-        phi = np.atleast_2d(np.asarray(phi, dtype=np.float64))
+        phi = np.atleast_2d(np.asarray(phi, dtype=np.float64)) @ self.logs.T
         out = np.exp(phi)
         static = self._static_size
         out[:, :static] = np.linalg.solve(self._static(out), out[:, :static, None])[..., 0]
@@ -126,7 +140,7 @@ class Coordinates:
 
     def log_jacobian(self, phi: FloatArray) -> FloatArray:
         """Ln of abs det(d theta / d phi), shape (n,): a density of theta times it is one of phi."""
-        phi = np.atleast_2d(np.asarray(phi, dtype=np.float64))
+        phi = np.atleast_2d(np.asarray(phi, dtype=np.float64)) @ self.logs.T
         value = phi.sum(axis=1) - np.linalg.slogdet(self._static(np.exp(phi)))[1]
         for at, time in self._blocks():
             value = value - np.linalg.slogdet(self._branch(at))[1]

@@ -15,7 +15,7 @@ from tissueid.documents import typed
 from tissueid.documents.identification import Identification, Specimen
 from tissueid.documents.population import Population, Provenance
 from tissueid.model.grammar import KELVIN_VOIGT
-from tissueid.population.cohort import CohortFit, CohortOptions, central_covariance
+from tissueid.population.cohort import CohortFit, CohortOptions, central_covariance, of_quantities
 from tissueid.population.members import FEWEST_DRAWS, MOST_DRAWS_IN_ALL, Member, TrialRow
 from tissueid.priors import PopulationPriors, SpreadPrior
 from tissueid.result import Estimate, ModelChoice
@@ -134,7 +134,7 @@ def population_bundle(fit: CohortFit, said: Provenance) -> Bundle | None:
         return None
     coordinates, theta = found.coordinates, found.predictive.theta
     rows = evenly(len(found.draws.mean), KEPT_DRAWS)
-    mean = found.draws.mean[rows]
+    mean, shown = found.draws.mean[rows], of_quantities(found.draws, coordinates.logs)
     # t tails of few degrees of freedom have no variance: the covariance is that of the central 99 %
     with np.errstate(over="ignore", invalid="ignore"):
         covariance = central_covariance(theta)
@@ -168,7 +168,7 @@ def population_bundle(fit: CohortFit, said: Provenance) -> Bundle | None:
         flags=fit.flags,
         provenance={"tissueid": said.tissueid, "versions": {}, "options": options, "inputs": []},
         draws=theta,
-        population_mean=mean,
-        population_sd=found.draws.sd.reshape(-1, coordinates.size)[rows],
+        population_mean=shown.mean[rows],
+        population_sd=shown.sd.reshape(-1, coordinates.size)[rows],
         units=dict(fit.members[0].units) or dict(_NO_UNITS),
     )

@@ -187,7 +187,7 @@ def drawn_tissue(model: ChannelModel, priors: Priors, rng: np.random.Generator) 
             powers = model.depth_mm ** np.arange(float(known.shape[0])) if _is_curve(model, block) else None
             theta[block] = _passive_block(known[:, 0], known[:, 1], powers, rng)
         theta[model.time_places] = _first(
-            lambda: np.array([_log_normal(time, rng) for time in priors.relaxation_time_s]),
+            lambda: np.array([_log_normal(time, rng) for time in priors.relaxation_time_s if time]),
             lambda tau: bool((np.diff(tau) > 0.0).all()),
             "the priors of the relaxation times do not ascend: order them from fast to slow",
         )
@@ -227,7 +227,7 @@ def prior_words(priors: Priors, *, correlated: bool, pooling: str, defects: bool
         name: f"normal, {mean:.4g} ± {sd:.3g}, cut to the passive set"
         for name, (mean, sd) in priors.linear.items()
     }
-    for branch, time in enumerate(priors.relaxation_time_s):
+    for branch, time in enumerate(filter(None, priors.relaxation_time_s)):
         said[f"relaxation_time_s{branch_suffix(branch)}"] = (
             f"log-normal, median {time.median:.4g}, sd of ln {time.sd_ln:.3g}"
         )

@@ -86,7 +86,7 @@ class Bundle(Shown):
     draws : ndarray, shape (n, p), or None
         Posterior draws of theta; of a population, specimens drawn from it.
     population_mean, population_sd : ndarray, shape (m, p), or None
-        In the coordinates of :mod:`tissueid.population.coordinates`.
+        Logarithms of the quantities of :mod:`tissueid.population.coordinates`.
     rupture : RuptureLaw or None
         When it breaks, as `tissueid rupture` found; ``None`` where nothing is claimed.
     units : mapping

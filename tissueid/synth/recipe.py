@@ -165,6 +165,7 @@ def _problem(recipe: Recipe) -> str | None:
         ),
         (recipe.specimens >= 1, f"specimens is {recipe.specimens}, must be >= 1"),
         (len(recipe.logs) >= 1, "a recipe needs at least one log"),
+        (len({one.name for one in recipe.logs}) == len(recipe.logs), "two logs have one name, and one file"),
         (all(b.tau_s > 0.0 for b in recipe.branches), "tau_s must be > 0 in every branch"),
         (all(d >= 0 for d in recipe.decimals), f"decimals are {recipe.decimals}, must be >= 0"),
     )
