@@ -210,6 +210,11 @@ def find_contact(
     contact = approach.in_air(signs)
     if contact is not None:
         return contact, _uncertain(contact, approach.depth_mm)
+    contact, dragged = _dragged(
+        (depth_mm, force_N), move, approach.force_N[: approach.start], noise_N=noise_N, signs=signs
+    )
+    if contact is not None:
+        return contact, dragged + _uncertain(contact, approach.depth_mm)
     relaxing = relaxing_stiffness((time_s, depth_mm, force_N), move, approach.noise_N)
     begun, flags = _start_in_contact(approach, signs=signs, relaxing=relaxing)
     best = min(light, key=lambda one: one.sd_mm, default=begun)
@@ -280,6 +285,37 @@ class _Approach:
             baseline_N=signs[1] * (_reading_in_air(u, f, air, noise) + self.drift_N * met),
             in_record=True,
         )
+
+
+def _dragged(
+    record: tuple[FloatArray, FloatArray],
+    move: Piece,
+    resting_N: FloatArray,
+    *,
+    noise_N: float,
+    signs: tuple[int, int],
+) -> tuple[Contact | None, list[Flag]]:
+    """The contact behind air through which a tool is dragged: its force leaps as it sets off, and stays."""
+    if resting_N.size < FEWEST_AIR_SAMPLES:
+        return None, []
+    moving = record[1][move.start : move.stop + 1]
+    level = float(np.median(resting_N[-FEWEST_DRIFTING:]))
+    _, sd = _reading(resting_N, TOUCH_SHARE * float(np.ptp(moving)) / KICK_SD)
+    left = int(np.argmax(moving > level + 0.5 * KICK_SD * sd))
+    # as long again for the leap to be over
+    over = replace(move, start=move.start + 2 * left + KICK_SAMPLES)
+    if left > KICK_SAMPLES or over.stop - over.start < FEWEST_SAMPLES or not _meets(record[1], over, noise_N):
+        return None, []
+    contact = _Approach.of(*record, over, first=over.start, noise_N=noise_N).in_air(signs)
+    air = record[1][over.start : over.start if contact is None else contact.index]
+    if contact is None or air.size < FEWEST_DRIFTING:
+        return None, []
+    drag, (slope, error) = signs[1] * contact.baseline_N - level, _rise(air, noise_N)
+    # in tissue force goes on as it began
+    if drag < max(KICK_SD * sd, 2.0 * air.size * (abs(slope) + SURE * error)):
+        return None, []
+    message = f"force leaps by {drag:.3g} N as the tool sets off in air, and stays: something drags"
+    return contact, [Flag("drag", message, {"drag_N": drag})]
 
 
 def _stands_at(depth_mm: FloatArray, start: int) -> float:
