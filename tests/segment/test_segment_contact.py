@@ -330,6 +330,19 @@ def test_a_force_at_rest_is_the_zero_of_the_load_cell_where_negative_and_a_prelo
     assert ("preload" in codes(found)) is preloaded
 
 
+def test_a_force_that_relaxes_below_its_zero_before_the_ramp_was_zeroed_in_contact() -> None:
+    # 30 s at rest 1 mm deep, where the force was zeroed, a ramp of 4 mm, a hold
+    time = np.arange(0.0, 60.0, 0.01)
+    pushed = np.clip(time - 30.0, 0.0, 4.0)
+    noise = np.random.default_rng(5).normal(0.0, 0.005, time.size)
+    force = 0.4 * pushed + 0.1 * pushed**2 + 0.05 * np.expm1(-time / 15.0) + noise
+    found = segment(Trial("tared", time, pushed, force))
+    assert "zeroed in contact" in flag_of(found, "contact_uncertain").message
+    # a load cell that holds its zero there says nothing of the kind
+    steady = segment(Trial("steady", time, pushed, force - 0.05 * np.expm1(-time / 15.0) - 0.02))
+    assert "contact_uncertain" not in codes(steady)
+
+
 def in_air(
     seed: int, *, drift: float = 0.0, noise: str = "white", softness: float = 1.0, rate: float = 100.0
 ) -> Trial:

@@ -415,6 +415,14 @@ def _resting(u: FloatArray) -> int:
     return max(1, int(np.argmin(u <= u[0] + STANDING_SHARE * float(u.max() - u[0]))))
 
 
+def _falls(resting_N: FloatArray, noise_N: float) -> float:
+    """Force that a tool that stands has lost beyond its noise, as what it stands on relaxes [N]."""
+    if resting_N.size < FEWEST_DRIFTING:
+        return 0.0
+    slope, error = _rise(resting_N, noise_N)
+    return -slope * resting_N.size if slope < -DRIFTING * error else 0.0
+
+
 def _start_in_contact(
     approach: _Approach, *, signs: tuple[int, int], relaxing: float | None
 ) -> tuple[Contact, list[Flag]]:
@@ -424,9 +432,10 @@ def _start_in_contact(
     start = float(u[0])
     few = _resting(u)
     ahead = float(f[:few].mean())
-    zero = 0.0
+    zero = fell = 0.0
     if few >= FEWEST_ZERO_SAMPLES and ahead < -PRELOAD_SD * noise_N / np.sqrt(few):
         # a tool at rest cannot be pulled by the tissue: this is where the load cell's zero lies
+        fell = _falls(f[:few], noise_N)
         zero, ahead, f = ahead, 0.0, f - ahead
     measured, back = ahead, 0.0
     if u.size >= FEWEST_SAMPLES:
@@ -459,7 +468,7 @@ def _start_in_contact(
         flags.append(_preload(measured, ahead, start - contact_mm, sd))
     else:
         # the first sample is quoted, so its distance from what the force says is part of its sd
-        sd = float(np.hypot(sd, contact_mm - start))
+        sd = float(np.hypot(np.hypot(sd, contact_mm - start), REACH * fell / _least_slope(u, f, air)))
         step = float(u[min(few, u.size - 1)]) - start
         if few >= FEWEST_RESTING and step > UNCERTAIN_SHARE * float(np.ptp(u)):
             # a tool that stands and then jumps may have met the tissue anywhere on its way
@@ -475,6 +484,10 @@ def _start_in_contact(
         later = f"from one after {air.contact_mm - start:.3g} mm in air; the start is taken"
         message = f"force does not tell contact at the start {later}"
     flags.append(Flag("starts_in_contact", message, {"sd_mm": contact.sd_mm}))
+    if fell > 0.0:
+        message = f"the force falls by {fell:.3g} N below its zero while the tool stands: zeroed in contact?"
+        values = {"sd_mm": contact.sd_mm, "travel_mm": float(np.ptp(u))}
+        return contact, [*flags, Flag("contact_uncertain", message, values)]
     return contact, flags + _uncertain(contact, u)
 
 
