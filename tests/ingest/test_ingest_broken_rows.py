@@ -162,6 +162,15 @@ def test_a_number_that_lost_its_mark_among_fixed_decimals_is_refused_at_its_line
     assert "no_decimals" in codes(trial)
 
 
+def test_a_hold_that_is_logged_in_whole_seconds_has_lost_no_marks(tmp_path: Path) -> None:
+    times = [*(i * 0.05 for i in range(400)), *range(20, 200)]
+    rows = [f"{t:.4f},{min(t, 5.0):.4f},{min(t, 5.0) * 0.31 + 0.001:.4f}" for t in times]
+    assert "no_decimals" not in codes(read(export(tmp_path / "decimated.csv", rows)))
+    # a number that lost its mark there is far above the rows beside it as well
+    rows[500] = rows[500].replace("120.0000", "1200000")
+    assert refusal(export(tmp_path / "lost.csv", rows)).code == "damaged_number"
+
+
 def test_numbers_beyond_the_names_are_refused(tmp_path: Path) -> None:
     rows = [f"0,{i:02d},1,{i:02d},2,{i:02d}" for i in range(40)]
     one = refusal(export(tmp_path / "comma.csv", rows))

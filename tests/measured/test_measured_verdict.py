@@ -45,7 +45,7 @@ REASONS: dict[str, tuple[dict[str, Any], str, str]] = {
     "no air": (
         {"air_mm": 0.0, "zero_N": 0.3},
         "good",
-        r"no air before contact: depth known to [\d.]+ %\. Start in air",
+        r"no air before contact: depth known to [\d.]+ % if the force was zeroed in air\. Start in air",
     ),
     "overshoot": (
         {"overshoot_mm": 0.2},

@@ -306,6 +306,30 @@ def test_a_contact_that_no_shape_describes_is_as_uncertain_as_the_misfit_whateve
     assert found.sd_mm <= 0.002
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_tool_that_is_dragged_through_air_meets_the_tissue_where_the_force_grows(sign: int) -> None:
+    time = np.arange(0.0, 12.0, 0.01)
+    depth = np.clip(time - 2.0, 0.0, 6.5)
+    deep = np.maximum(depth - 1.5, 0.0)
+    moves = (time > 2.0) & (time < 8.5)
+    noise = np.random.default_rng(3).normal(0.0, 0.005, time.size)
+    force = 0.5 * deep + 0.1 * deep**2 + 0.1 * moves + noise
+    found = segment(Trial("needle", time, sign * depth, sign * force))
+    assert found.contact.in_record
+    assert abs(sign * found.contact.displacement_mm - 1.5) < 3.0 * found.contact.sd_mm < 0.1
+    assert sign * found.contact.baseline_N == pytest.approx(0.1, abs=0.005)
+    assert flag_of(found, "drag").values["drag_N"] == pytest.approx(0.1, abs=0.01)
+
+
+def test_a_force_that_goes_on_as_it_leapt_is_tissue_and_no_drag() -> None:
+    time = np.arange(0.0, 12.0, 0.01)
+    deep = np.clip(time - 2.0, 0.0, 6.5)
+    noise = np.random.default_rng(4).normal(0.0, 0.005, time.size)
+    # a fast branch leaps as a drag does; the static curve behind it rises
+    force = 0.02 * deep + 0.1 * deep**2 + 0.1 * ((time > 2.0) & (time < 8.5)) + noise
+    assert "drag" not in codes(segment(Trial("fast branch", time, deep, force)))
+
+
 def test_logs_that_start_in_contact_are_seldom_cut():
     # a stiffness that grows from nothing; 14 where air is believed at 2 sd
     rng, ramp = np.random.default_rng(3), Log("ramp", (Move(8.0, 250.0),))
@@ -327,6 +351,19 @@ def test_a_force_at_rest_is_the_zero_of_the_load_cell_where_negative_and_a_prelo
     assert found.contact.baseline_N == pytest.approx(baseline_N, abs=0.005)
     assert preloaded or abs(found.contact.displacement_mm) <= 4.0 * found.contact.sd_mm
     assert ("preload" in codes(found)) is preloaded
+
+
+def test_a_force_that_relaxes_below_its_zero_before_the_ramp_was_zeroed_in_contact() -> None:
+    # 30 s at rest 1 mm deep, where the force was zeroed, a ramp of 4 mm, a hold
+    time = np.arange(0.0, 60.0, 0.01)
+    pushed = np.clip(time - 30.0, 0.0, 4.0)
+    noise = np.random.default_rng(5).normal(0.0, 0.005, time.size)
+    force = 0.4 * pushed + 0.1 * pushed**2 + 0.05 * np.expm1(-time / 15.0) + noise
+    found = segment(Trial("tared", time, pushed, force))
+    assert "zeroed in contact" in flag_of(found, "contact_uncertain").message
+    # a load cell that holds its zero there says nothing of the kind
+    steady = segment(Trial("steady", time, pushed, force - 0.05 * np.expm1(-time / 15.0) - 0.02))
+    assert "contact_uncertain" not in codes(steady)
 
 
 def in_air(

@@ -157,6 +157,16 @@ def test_white_noise_lasts_no_longer_than_its_differences_say():
     assert (ratios == 1.0).sum() >= 97
 
 
+@pytest.mark.parametrize(("phi", "truth"), [(0.0, 1.0), (0.7, 5.3)])
+def test_many_short_standstills_beside_a_long_one_tell_how_the_noise_lasts(phi: float, truth: float) -> None:
+    lengths = (68,) * 10 + (2067,)
+    found = []
+    for seed in range(20):
+        noise = (noise_of(phi, size, 100 * seed + k) for k, size in enumerate(lengths))
+        found.append(long_run_ratio([without_slow(np.arange(float(one.size)), one) for one in noise]))
+    assert np.median(found) == pytest.approx(truth, rel=0.15)
+
+
 @pytest.mark.parametrize(("phi", "spread"), [(0.5, 0.15), (0.9, 0.25), (0.97, 0.35)])
 def test_the_sd_of_means_is_that_of_the_noise(phi, spread):
     found = [lasting_sd(noise_of(phi, 2000, seed)) for seed in range(40)]

@@ -323,5 +323,8 @@ def _far_above_neighbours(column: FloatArray, decimals: NDArray[np.bool_]) -> in
     around = np.maximum(size[np.maximum(after - 1, 0)], size[np.minimum(after, fractional.size - 1)])
     # about zero the noise is several times its neighbours as well
     least = np.maximum(_TIMES * around, LOST_STEPS * _usual(np.abs(np.diff(column))))
+    # and several times the row before or behind it: a log that goes on in whole seconds has lost none
+    beside = np.abs(np.pad(column, 1, constant_values=np.inf))
+    least = np.maximum(least, _TIMES * np.minimum(beside[whole], beside[whole + 2]))
     far = np.flatnonzero(np.abs(column[whole]) >= least)
     return int(whole[far[0]]) if far.size else None

@@ -127,6 +127,5 @@ def _no_air(contact: Contact | None, push: MeasuredPush | None, flags: dict[str,
         return ""
     if not {"starts_in_contact", "preload"} & set(flags):
         return ""
-    return (
-        f"no air before contact: depth known to {100.0 * contact.sd_mm / push.depth_mm:.2g} %. Start in air"
-    )
+    known = f"depth known to {100.0 * contact.sd_mm / push.depth_mm:.2g} % if the force was zeroed in air"
+    return f"no air before contact: {known}. Start in air"

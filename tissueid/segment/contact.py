@@ -211,6 +211,11 @@ def find_contact(
     contact = approach.in_air(signs)
     if contact is not None:
         return contact, _uncertain(contact, approach.depth_mm)
+    contact, dragged = _dragged(
+        (depth_mm, force_N), move, approach.force_N[: approach.start], noise_N=noise_N, signs=signs
+    )
+    if contact is not None:
+        return contact, dragged + _uncertain(contact, approach.depth_mm)
     relaxing = relaxing_stiffness((time_s, depth_mm, force_N), move, approach.noise_N)
     begun, flags = _start_in_contact(approach, signs=signs, relaxing=relaxing)
     best = min(light, key=lambda one: one.sd_mm, default=begun)
@@ -281,6 +286,37 @@ class _Approach:
             baseline_N=signs[1] * (_reading_in_air(u, f, air, noise) + self.drift_N * met),
             in_record=True,
         )
+
+
+def _dragged(
+    record: tuple[FloatArray, FloatArray],
+    move: Piece,
+    resting_N: FloatArray,
+    *,
+    noise_N: float,
+    signs: tuple[int, int],
+) -> tuple[Contact | None, list[Flag]]:
+    """The contact behind air through which a tool is dragged: its force leaps as it sets off, and stays."""
+    if resting_N.size < FEWEST_AIR_SAMPLES:
+        return None, []
+    moving = record[1][move.start : move.stop + 1]
+    level = float(np.median(resting_N[-FEWEST_DRIFTING:]))
+    _, sd = _reading(resting_N, TOUCH_SHARE * float(np.ptp(moving)) / KICK_SD)
+    left = int(np.argmax(moving > level + 0.5 * KICK_SD * sd))
+    # as long again for the leap to be over
+    over = replace(move, start=move.start + 2 * left + KICK_SAMPLES)
+    if left > KICK_SAMPLES or over.stop - over.start < FEWEST_SAMPLES or not _meets(record[1], over, noise_N):
+        return None, []
+    contact = _Approach.of(*record, over, first=over.start, noise_N=noise_N).in_air(signs)
+    air = record[1][over.start : over.start if contact is None else contact.index]
+    if contact is None or air.size < FEWEST_DRIFTING:
+        return None, []
+    drag, (slope, error) = signs[1] * contact.baseline_N - level, _rise(air, noise_N)
+    # in tissue force goes on as it began
+    if drag < max(KICK_SD * sd, 2.0 * air.size * (abs(slope) + SURE * error)):
+        return None, []
+    message = f"force leaps by {drag:.3g} N as the tool sets off in air, and stays: something drags"
+    return contact, [Flag("drag", message, {"drag_N": drag})]
 
 
 def _stands_at(depth_mm: FloatArray, start: int) -> float:
@@ -414,16 +450,25 @@ def _extrapolated(approach: _Approach, f: FloatArray, ahead: float, relaxing: fl
     return _Before(contact_mm, sd, ahead, fit.at_start < PRELOAD_DENSITY)
 
 
+def _falls(resting_N: FloatArray, noise_N: float) -> float:
+    """Force that a tool that stands has lost beyond its noise, as what it stands on relaxes [N]."""
+    if resting_N.size < FEWEST_DRIFTING:
+        return 0.0
+    slope, error = _rise(resting_N, noise_N)
+    return -slope * resting_N.size if slope < -DRIFTING * error else 0.0
+
+
 def _start_in_contact(
     approach: _Approach, *, signs: tuple[int, int], relaxing: float | None
 ) -> tuple[Contact, list[Flag]]:
     """No air in the record: the contact is the first sample, or lies before it."""
     u, f, air = approach.depth_mm, approach.force_N, approach.air
     compression, force_sign = signs
-    start, few, zero = float(u[0]), _resting(u), 0.0
+    start, few, zero, fell = float(u[0]), _resting(u), 0.0, 0.0
     measured = float(f[:few].mean())
     if few >= FEWEST_ZERO_SAMPLES and measured < -PRELOAD_SD * approach.noise_N / np.sqrt(few):
         # a tool at rest cannot be pulled by the tissue: this is where the load cell's zero lies
+        fell = _falls(f[:few], approach.noise_N)
         zero, measured, f = measured, 0.0, f - measured
     before = _extrapolated(approach, f, measured, relaxing)
     flags: list[Flag] = []
@@ -434,6 +479,7 @@ def _start_in_contact(
     else:
         # the first sample is quoted, so its distance from what the force says is part of its sd
         sd = float(np.hypot(before.sd_mm, before.contact_mm - start))
+        sd = float(np.hypot(sd, REACH * fell / _least_slope(u, f, air)))
         step = float(u[min(few, u.size - 1)]) - start
         if few >= FEWEST_RESTING and step > UNCERTAIN_SHARE * float(np.ptp(u)):
             # a tool that stands and then jumps may have met the tissue anywhere on its way
@@ -449,6 +495,10 @@ def _start_in_contact(
         later = f"from one after {air.contact_mm - start:.3g} mm in air; the start is taken"
         message = f"force does not tell contact at the start {later}"
     flags.append(Flag("starts_in_contact", message, {"sd_mm": contact.sd_mm}))
+    if fell > 0.0:
+        message = f"the force falls by {fell:.3g} N below its zero while the tool stands: zeroed in contact?"
+        values = {"sd_mm": contact.sd_mm, "travel_mm": float(np.ptp(u))}
+        return contact, [*flags, Flag("contact_uncertain", message, values)]
     return contact, flags + _uncertain(contact, u)
 
 

@@ -28,6 +28,8 @@ CORNER_SD = 30.0
 SWING_SHARES, SWING = (0.01, 0.99), 1.5
 #: Fewest means by which a variance and a correlation are judged.
 FEWEST_MEANS = 32
+#: ... and of one stretch: of fewer, what is taken off it leaves little to vary.
+FEWEST_IN_ONE = SLOW_POWERS + 2
 #: Standard errors beyond which neighbouring means are correlated, and those beyond which a correlation that
 #: is left at the longest means counts.
 SURE = 3.5
@@ -92,14 +94,17 @@ def long_run_ratio(stretches: Sequence[FloatArray]) -> float:
     if differences <= 0.0:
         return 1.0
     size, correlated, ratio = 1, False, 1.0
-    while samples // size >= FEWEST_MEANS:
+    while True:
+        kept = [one for one in stretches if one.size >= FEWEST_IN_ONE * size]
+        if sum(one.size // size for one in kept) < FEWEST_MEANS:
+            break
         square, product, means = 0.0, 0.0, 0
-        for one in stretches:
+        for one in kept:
             whole = one[: one.size // size * size].reshape(-1, size).mean(axis=1)
             square += float(whole @ whole)
             product += float(whole[1:] @ whole[:-1])
             means += whole.size
-        free = max(means - (SLOW_POWERS + 1) * len(stretches), 1)
+        free = means - (SLOW_POWERS + 1) * len(kept)
         # what is taken off leaves neighbours correlated by so much less
         rho = product / square + (means - free) / means
         correlated = correlated or rho > SURE / np.sqrt(means)
