@@ -496,9 +496,9 @@ def _start_in_contact(
         message = f"force does not tell contact at the start {later}"
     flags.append(Flag("starts_in_contact", message, {"sd_mm": contact.sd_mm}))
     if fell > 0.0:
-        message = f"the force falls by {fell:.3g} N below its zero while the tool stands: zeroed in contact?"
+        words = f"the force falls by {fell:.3g} N below its zero while the tool stands: zeroed in contact?"
         values = {"sd_mm": contact.sd_mm, "travel_mm": float(np.ptp(u))}
-        return contact, [*flags, Flag("contact_uncertain", message, values)]
+        return contact, [*flags, Flag("contact_uncertain", words, values)]
     return contact, flags + _uncertain(contact, u)
 
 
