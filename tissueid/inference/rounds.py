@@ -94,8 +94,7 @@ def unsettled(followed: Followed | None) -> tuple[Flag, ...]:
     """Flag of a test after loops whose surface between them went on changing."""
     if followed is None or followed.change_sd < ROUGH_SD:
         return ()
-    moved = f"a parameter still moved by {followed.change_sd:.2g} standard errors"
-    words = f"the surface between loops did not settle in {followed.rounds} rounds: {moved}"
+    words = f"the surface between loops still moves a parameter by {followed.change_sd:.2g} standard errors"
     return (Flag("unloading_not_settled", words, {"change_sd": followed.change_sd}),)
 
 
