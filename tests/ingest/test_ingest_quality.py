@@ -443,3 +443,35 @@ def test_the_flag_comes_out_of_a_file_whose_header_names_the_cell(tmp_path) -> N
     trial = read(put(tmp_path / "large-cell.csv", "\n".join([*head, *rows, ""])))
     assert [flag.code for flag in trial.flags] == ["below_cell_range"]
     assert trial.flags[0].values["capacity_N"] == 30_000.0
+
+
+@pytest.mark.parametrize(
+    ("leap_N", "stands", "told"), [(0.3, True, True), (0.3, False, False), (0.01, True, False)]
+)
+def test_a_load_cell_that_is_zeroed_in_mid_log_is_told(leap_N, stands, told):
+    time = np.arange(0.0, 40.0, 0.02)
+    # 10 s at rest in air, a ramp, and a hold that relaxes
+    travel = np.interp(time, [0.0, 10.0, 14.0, 40.0], [0.0, 0.0, 4.0, 4.0])
+    force = np.maximum(travel - 1.0, 0.0) * (1.0 + 0.5 * np.exp(-np.maximum(time - 14.0, 0.0)))
+    force += 0.003 * np.random.default_rng(2).standard_normal(time.size)
+    force -= leap_N * (time > (5.0 if stands else 11.5))
+    found = [flag for flag in quality_flags(time, travel, force) if flag.code == "jump"]
+    assert bool(found) is told
+    if told:
+        assert found[0].values["leap_N"] == pytest.approx(-leap_N, abs=0.02)
+        assert "zeroed?" in found[0].message
+
+
+@pytest.mark.parametrize("in_contact", [True, False])
+def test_travel_that_is_zeroed_under_a_force_is_told_and_a_fast_way_back_in_air_is_not(in_contact):
+    time = np.arange(0.0, 40.0, 0.02)
+    # 2 mm held for 10 s, then 2 mm more; in air the same leap is a fast way back
+    travel = np.interp(time, [0.0, 4.0, 14.0, 18.0, 40.0], [0.0, 3.0, 3.0, 5.0, 5.0])
+    force = np.maximum(travel - 1.0, 0.0) * 0.8 if in_contact else np.zeros(time.size)
+    force += 0.003 * np.random.default_rng(2).standard_normal(time.size)
+    found = quality_flags(time, travel - 3.0 * (time > 10.0), force + (time > 18.0) * (not in_contact))
+    told = [flag for flag in found if flag.code == "jump"]
+    assert bool(told) is in_contact
+    if told:
+        assert told[0].values["leap_mm"] == pytest.approx(3.0, abs=0.02)
+        assert told[0].message.endswith("zeroed?")

@@ -38,6 +38,8 @@ CROSSWISE = 0.05
 FOREIGN_TRAVEL, FOREIGN_FORCE = 1e4, 1e2
 #: A jump that stays: so many times the steps beside it, and this share of the whole travel.
 BESIDE_TIMES, JUMP_SHARE, BESIDE = 20.0, 0.05, 5
+#: A force is at work beyond this share of its range, and the same after a leap within this share of itself.
+AT_WORK, SAME_FORCE = 0.1, 0.02
 #: A counter that starts again leaps by so many of the steps beside it.
 RESTART_TIMES = 8.0
 #: An interval so many times the usual is a gap in the log.
@@ -231,8 +233,8 @@ def restart(time: FloatArray, travel: FloatArray) -> int | None:
     return None
 
 
-def jump(time_s: FloatArray, displacement_mm: FloatArray) -> Flag | None:
-    """``jump``, where the travel leaps between two samples and stays there."""
+def jump(time_s: FloatArray, displacement_mm: FloatArray, force_N: FloatArray) -> Flag | None:
+    """``jump``, where the travel leaps between two samples and stays there, far, or under a force at work."""
     if time_s.size < FEWEST_ROWS:
         return None
     steps = np.abs(np.diff(displacement_mm))
@@ -241,7 +243,7 @@ def jump(time_s: FloatArray, displacement_mm: FloatArray) -> Flag | None:
         return Flag("jump", words, {"leap_mm": float(steps[row]), "at_s": float(time_s[row])})
     at = int(np.argmax(steps))
     leap = float(steps[at])
-    if leap < max(FOREIGN_TRAVEL * _usual(steps), JUMP_SHARE * float(np.ptp(displacement_mm))):
+    if leap < JUMP_SHARE * float(np.ptp(displacement_mm)):
         return None
     interval = np.diff(time_s)
     if interval[at] > GAP_TIMES * float(np.median(interval)):
@@ -249,9 +251,16 @@ def jump(time_s: FloatArray, displacement_mm: FloatArray) -> Flag | None:
     beside = np.concatenate((steps[max(0, at - BESIDE) : at], steps[at + 1 : at + 1 + BESIDE]))
     if beside.size == 0 or leap < BESIDE_TIMES * float(beside.max()):
         return None
+    before = float(np.median(force_N[max(0, at + 1 - BESIDE) : at + 1]))
+    after = float(np.median(force_N[at + 1 : at + 1 + BESIDE]))
+    at_work = abs(before - float(np.median(force_N[:BESIDE]))) > AT_WORK * float(np.ptp(force_N))
+    foreign = leap >= FOREIGN_TRAVEL * _usual(steps)
+    if not foreign and not (at_work and abs(after - before) <= SAME_FORCE * abs(before)):
+        return None
     when = float(time_s[at])
     leapt = f"the travel leaps by {leap:.3g} mm between two samples at {when - clock_start(time_s[0]):.4g} s"
-    return Flag("jump", f"{leapt}: two recordings in one?", {"leap_mm": leap, "at_s": when})
+    why = "two recordings in one?" if foreign else "zeroed?"
+    return Flag("jump", f"{leapt}: {why}", {"leap_mm": leap, "at_s": when})
 
 
 #: Rows from which a column of whole numbers is worth a remark.

@@ -13,6 +13,7 @@ from tissueid.digits import clock_start
 from tissueid.flags import Flag
 from tissueid.ingest.broken_rows import jump
 from tissueid.ingest.header import stated
+from tissueid.signal_noise import quantum
 
 _FEW_LEVELS = 64
 _SAMPLES_PER_LEVEL = 10
@@ -522,6 +523,38 @@ def below_cell_range(
     return Flag("below_cell_range", message, values)
 
 
+#: Samples on either side over which a tool stands whose force leaps, within this share of the travel and so
+#: many usual steps of it.
+_STANDS, _STANDS_SHARE, _STANDS_STEPS = 10, 1e-3, 6.0
+#: The leap: a share of the force's range, times the steps beside it and those of its digits, and what stays.
+_LEAP_SHARE, _LEAP_TIMES, _LEAP_DIGITS, _LEAP_STAYS = 0.005, 8.0, 3.0, 0.7
+#: Leaps that are looked at, the largest first.
+_MOST_LEAPS = 50
+
+
+def zeroed(time_s: FloatArray, displacement_mm: FloatArray, force_N: FloatArray) -> Flag | None:
+    """``jump``, where the force of a tool that stands leaps between two samples and stays there."""
+    steps, travel = np.diff(force_N), np.abs(np.diff(displacement_mm))
+    moving = travel[travel > 0.0]
+    if steps.size < 2 * _STANDS or moving.size == 0:
+        return None
+    still = min(_STANDS_SHARE * float(np.ptp(displacement_mm)), _STANDS_STEPS * float(np.median(moving)))
+    least = max(_LEAP_SHARE * float(np.ptp(force_N)), _LEAP_DIGITS * quantum(force_N))
+    leaps = np.flatnonzero(np.abs(steps) >= least)
+    for at in leaps[np.argsort(-np.abs(steps[leaps]))][:_MOST_LEAPS].tolist():
+        before, after = slice(max(at + 1 - _STANDS, 0), at + 1), slice(at + 1, at + 1 + _STANDS)
+        stood = displacement_mm[before.start : after.stop]
+        if stood.size < 2 * _STANDS or float(np.ptp(stood)) > still:
+            continue
+        beside = max(float(np.abs(np.diff(force_N[side])).max()) for side in (before, after))
+        stays = float(np.median(force_N[after]) - np.median(force_N[before])) / steps[at]
+        if abs(steps[at]) >= _LEAP_TIMES * beside and stays >= _LEAP_STAYS:
+            when = float(time_s[at]) - clock_start(time_s[0])
+            words = f"the force leaps by {steps[at]:.3g} N at {when:.4g} s, while the tool stands: zeroed?"
+            return Flag("jump", words, {"leap_N": float(steps[at]), "at_s": float(time_s[at])})
+    return None
+
+
 def quality_flags(
     time_s: FloatArray, displacement_mm: FloatArray, force_N: FloatArray, *, capacity_N: float | None = None
 ) -> tuple[Flag, ...]:
@@ -531,7 +564,7 @@ def quality_flags(
         zero_dt(time_s, dt),
         event_rows(time_s, dt),
         gap(time_s, dt, force_N),
-        jump(time_s, displacement_mm),
+        jump(time_s, displacement_mm, force_N) or zeroed(time_s, displacement_mm, force_N),
         force_levels(displacement_mm, force_N),
         below_resolution(displacement_mm, force_N),
         spike(time_s, displacement_mm, force_N),
