@@ -21,7 +21,7 @@ from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.engine import Identified, badness, refit
 from tissueid.inference.logs import LogHandle, blocks_of
 from tissueid.inference.noise import Memory
-from tissueid.inference.optimum import about_mean, free_of, minimise, prior_cost, whitener_of
+from tissueid.inference.optimum import about_mean, free_of, minimise, nearest_in_cone, prior_cost, whitener_of
 from tissueid.inference.prior import PriorRows, prior_rows, time_bounds
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import SHAPE, Point, System
@@ -36,8 +36,8 @@ MAX_EVALUATIONS, TOLERANCE = 300, 1e-10
 RESTARTED = 100
 #: Twice the log density by which its optimum must be better.
 LOWER = 0.01
-#: Parameters and residuals are kept below this.
-BEYOND = 1e12
+#: Parameters and residuals are kept below this; what is as small beside the largest is nothing.
+BEYOND, ROUNDING = 1e12, 1e-12
 #: ln tau is kept within this.
 FARTHEST = 40.0
 
@@ -108,7 +108,9 @@ def settled(identified: Identified) -> tuple[Identified, dict[str, Any]]:
         return identified, told
     system, t = identified.system, identified.law.counts[0]
     times = np.append(np.clip(reached.log_times[:t], *time_bounds(system)), reached.log_times[t:])
-    start = replace(reached, log_times=times)
+    start, prior = replace(reached, log_times=times), identified.optimum.prior
+    inside = nearest_in_cone(start.shared, identified.optimum.covariance, prior.cone, prior.least)
+    start = start.moved(inside, start.own)
     again = refit(identified, machine=identified.request.machine, start=start, steps=RESTARTED)
     better = badness(system, again) < badness(system, identified.optimum) - LOWER
     if not better or _outside(again.prior, again.point):
@@ -119,7 +121,8 @@ def settled(identified: Identified) -> tuple[Identified, dict[str, Any]]:
 
 def _outside(prior: PriorRows, point: Point) -> bool:
     """True where a point lies beyond a wall by more than rounding."""
-    rounding = AGREE_VALUE * (np.abs(prior.cone) @ np.abs(point.shared))
+    shared = np.abs(point.shared)
+    rounding = AGREE_VALUE * (np.abs(prior.cone) @ shared) + ROUNDING * shared.max()
     return bool((prior.cone @ point.shared < prior.least - rounding).any())
 
 
@@ -133,19 +136,17 @@ def both_optimisers(identified: Identified) -> tuple[dict[str, Any], Point]:
         parameters.add(f"p{k}", value=rough if k < t else value * (1.0 + START_OFF))
 
     def vector(values: Any) -> FloatArray:
-        return np.array([values[f"p{k}"].value for k in range(len(problem.start))])
-
-    def bounded(values: Any) -> FloatArray:
-        return np.clip(vector(values), -BEYOND, BEYOND)
+        found = np.array([values[f"p{k}"].value for k in range(len(problem.start))])
+        return np.asarray(np.clip(found, -BEYOND, BEYOND))
 
     def residual(values: Any) -> FloatArray:
         # a step that leaves the range of numbers is a bad one, not an error
-        return np.nan_to_num(problem.residual(bounded(values)), nan=BEYOND, posinf=BEYOND)
+        return np.nan_to_num(problem.residual(vector(values)), nan=BEYOND, posinf=BEYOND)
 
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         found = lmfit.Minimizer(residual, parameters, scale_covar=False).leastsq(
-            Dfun=lambda values: np.nan_to_num(problem.jacobian(bounded(values))),
+            Dfun=lambda values: np.nan_to_num(problem.jacobian(vector(values))),
             max_nfev=MAX_EVALUATIONS,
             ftol=TOLERANCE,
             xtol=TOLERANCE,
