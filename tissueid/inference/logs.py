@@ -1,9 +1,4 @@
-"""A log that can be loaded again, with what is known of it, its blocks, and its unloading.
-
-A tool that lets go leaves a surface that recovers along F_s(y) + sum K_j(y) s_j = 0 (derived).  Branch states
-follow it, so that a log is summed on its path, the samples in air left out: first as the measured force
-tells, then under the parameters found.
-"""
+"""A log that can be loaded again, with what is known of it, and its blocks."""
 
 from __future__ import annotations
 
@@ -13,14 +8,7 @@ from dataclasses import dataclass, replace
 from tissueid.errors import InputError
 from tissueid.inference.blocks import Blocks, log_blocks
 from tissueid.inference.channel_law import with_speed_ratio
-from tissueid.inference.window import (
-    FittedLog,
-    FreeSurface,
-    LogData,
-    assign_folds,
-    fitted_log,
-    with_holds_cut,
-)
+from tissueid.inference.window import FittedLog, FreeSurface, assign_folds, fitted_log, with_holds_cut
 from tissueid.model.grammar import Candidates
 from tissueid.trial import Segmentation, Trial
 
@@ -74,7 +62,7 @@ class LogHandle:
 def blocks_of(handle: LogHandle, log: FittedLog, *, whole: bool = False) -> Blocks:
     """Blocks of the fitted part of a log; every sample of it where ``whole``."""
     contact = handle.segmentation.contact
-    data: LogData = assign_folds(log, handle.segmentation.of_kind("hold"))
+    data = assign_folds(log, handle.segmentation.of_kind("hold"))
     return log_blocks(
         data,
         step_s=log.step_s,

@@ -349,8 +349,7 @@ def minimise(
             converged = True
             break
         there = at(moved)
-        rise = _rise(system, here, there, scaled=not sigma_N)
-        if rise > WORSE:
+        if (rise := _rise(system, here, there, scaled=not sigma_N)) > WORSE:
             system.deflection, damping = here.frame, damping * BACK
             continue
         gain = min(gain, -rise)

@@ -215,6 +215,11 @@ class _Found:
     tick: Callable[[str], None]
     moved: tuple[Flag, ...] = ()  # numbers that unloading moves
 
+    @property
+    def facts(self) -> list[FittedLog]:
+        """Facts of the fitted part of each log."""
+        return [one.facts for one in self.handles]
+
     def at(self, point: Point, looks: Sequence[Look] = ()) -> FittedSpecimen:
         """The fit as it is told with the tissue of a point; ``looks``: at its recordings, from another."""
         found, theta = self.identified, self.identified.law.theta(point.log_times, point.linear)[0]
@@ -250,9 +255,8 @@ class _Found:
         found, noise = self.identified, self.noise
         own: Sequence[Flag] = ()
         if found.quotable:
-            facts = [one.facts for one in self.handles]
             own = specimen_flags(
-                here, facts, told.trials, sigma_N=noise.sigma_N, optimisers=self.optimisers,
+                here, self.facts, told.trials, sigma_N=noise.sigma_N, optimisers=self.optimisers,
                 noise=None if noise.discrepant else noise.model,
             )  # fmt: skip
         return (
@@ -269,8 +273,7 @@ class _Found:
         """Numbers that are derived from a tissue, with errors of its covariance, and flags of them."""
         geometry = self.options.geometry
         slope, drains = depth_test(geometry, *_equal_holds(told))
-        facts = [one.facts for one in self.handles]
-        step, length = min(log.step_s for log in facts), max(log.duration_s for log in facts)
+        step, length = min(log.step_s for log in self.facts), max(log.duration_s for log in self.facts)
         frequencies = self.options.frequencies_Hz
         holds = [one.holds for one in told.looks]
         plain = quoted_numbers(tissue, holds, step_s=step, duration_s=length, frequencies_Hz=frequencies)
@@ -283,8 +286,7 @@ class _Found:
 
     def _told(self, here: TissueEstimate, told: Summaries) -> SpecimenFit:
         """The numbers of the fit; what is quoted and to be said of them is added."""
-        found, facts = self.identified, [one.facts for one in self.handles]
-        speeds = [one for log in facts for one in log.speeds_mm_s if one > 0.0]
+        found, speeds = self.identified, [one for log in self.facts for one in log.speeds_mm_s if one > 0.0]
         return SpecimenFit(
             specimen=self.specimen,
             model=_choice_of(found, here, "shared" if len(self.handles) == 1 else self.options.static),

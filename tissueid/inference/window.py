@@ -2,7 +2,8 @@
 
 From contact to the end of the last ramp or hold before the tool first turns back, or to the first rupture.
 Cycles before a test take no part, but their state is carried on: on the tool's path while it touches, on
-that of the surface which comes back where it has let go.
+that of the surface where it has let go, which recovers along F_s(y) + sum K_j(y) s_j = 0 (derived): first as
+the measured force tells, then under the parameters found.  So are retracts, where they are fitted.
 Samples within three sd of a contact that was found, or at the limit of the cell, are not in the likelihood.
 """
 
@@ -203,8 +204,7 @@ def fitted_log(
     which may have begun after its first sample; ``whole``: to the end of the recording, unloading and
     all; ``surface``: a law that follows it, else the force tells.
     """
-    contact = segmentation.contact
-    if contact is None:
+    if (contact := segmentation.contact) is None:
         return None
     depth, force = contact_frame(trial, segmentation)
     first, begins = contact.index, _first_of_test(segmentation)
@@ -229,16 +229,15 @@ def fitted_log(
         path, touching = (by_force if surface is None else surface.follow)(time, x)
         tool = x if whole or not touching.all() else None
         x, include = path, include & touching
-    steps = np.diff(time[1:] if inserted else time)
+    steps = np.diff(time[int(inserted) :])
     positive = steps[steps > 0.0]
     depth_mm = float(x[include].max(initial=0.0))
     if include.sum() < MIN_SAMPLES or positive.size == 0 or depth_mm <= 0.0 or np.ptp(f[include]) == 0.0:
         return None
-    earliest = max(first, begins)
-    inside = [one for one in segmentation.phases if earliest < one.stop and one.start < last - 1]
+    inside = [one for one in segmentation.phases if max(first, begins) < one.stop and one.start < last - 1]
     speeds = tuple(phase.speed_mm_s for phase in inside if phase.kind == "ramp")
-    folds = np.zeros(time.size, dtype=np.int64)
-    data = LogData(time, x, f, include, folds, breaks=chain_breaks(time), exact=exact)
+    folds, breaks = np.zeros(time.size, dtype=np.int64), chain_breaks(time)
+    data = LogData(time, x, f, include, folds, breaks=breaks, exact=exact)
     return FittedLog(
         data=data,
         first=first,
