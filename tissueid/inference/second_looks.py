@@ -34,8 +34,8 @@ START_GRID, START_OFF = 0.5, 0.05
 MAX_EVALUATIONS, TOLERANCE = 300, 1e-10
 #: Steps of a fit that begins where Levenberg-Marquardt ended.
 RESTARTED = 100
-#: Twice the log density by which its optimum must be better.
-LOWER = 0.01
+#: Twice the log density by which its optimum must be better: less is within one standard error.
+LOWER = 1.0
 #: Parameters and residuals are kept below this; what is as small beside the largest is nothing.
 BEYOND, ROUNDING = 1e12, 1e-12
 #: ln tau is kept within this.
