@@ -131,7 +131,7 @@ _CAUTION = {
     "unloading_disagrees": FlagKind("Unloading", "taking unloading in moves a relaxation time or K",
         "One law does not hold on both ways: a contact that shrinks, adhesion or damage is another law.",
         "Quote the fit of loading and holds, without --unloading.", "have an unloading of another law"),
-    "unloading_not_settled": FlagKind("Unloading", "the fit of unloading, or behind loops, did not converge",
+    "unloading_not_settled": FlagKind("Unloading", "the fit of unloading, or with loops, did not converge",
         "Its numbers are rough.", "Fit without --unloading; rest longer between loops and test.",
         "have an unloading that did not settle"),
     "aborted_ramp": FlagKind("Aborted test", "the recording ends, or unloads, before the ramp is over",
@@ -256,7 +256,7 @@ _CAUTION = {
         "to 10⁻⁸ m²/s); with another tip fluid flow slows with the square of its radius, viscosity does "
         "not.", "Repeat with a tip of another radius.", "may relax by fluid flow"),
     "unloading_left_out": FlagKind("Unloading",
-        "samples after the tool first turned back took no part in the fit",
+        "samples in which the tool turned back took no part in the fit",
         "Only loading and holds are fitted.", "Add --unloading.", "have samples that were not fitted"),
     "specimen_outlier": FlagKind("Outliers", "a specimen is far from the others",
         "It counts less with heavy tails, and in full with normal ones.",

@@ -8,6 +8,7 @@ has step/sqrt(12).
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 
@@ -132,3 +133,44 @@ def between_ticks(time_s: FloatArray) -> tuple[FloatArray, float]:
     # across a pause the rows were no slower
     reach = np.minimum(np.append(ticks, tick), tick)
     return np.asarray(time_s + (rows - np.repeat(starts, count)) * np.repeat(reach / count, count)), tick
+
+
+def lag_one_correlation(residual: FloatArray) -> float:
+    """Autocorrelation of a residual at one sample; 0 for fewer than three samples."""
+    centred = np.asarray(residual) - np.mean(residual)
+    power = float(centred @ centred)
+    if centred.size < 3 or power == 0.0:
+        return 0.0
+    return float(centred[1:] @ centred[:-1]) / power
+
+
+#: Steps whose median a step is compared with: the first step of a new rate sees five of its own nine.
+AROUND = 9
+#: A regular clock keeps its step to this factor (time stamps are printed with more digits than that) ...
+REGULAR = 1.0 + 1e-4
+#: ... but for this part of its steps, which are gaps and event rows.
+IRREGULAR_SHARE = 0.05
+#: Of any other clock a step is a gap that is so many medians long, an event row one as many times shorter.
+GAP = 10.0
+
+
+def chain_breaks(time_s: FloatArray) -> NDArray[np.bool_]:
+    """Samples that start a chain of noise: the first, at gaps, event rows and repeated times, (n,)."""
+    breaks = np.zeros(time_s.size, dtype=np.bool_)
+    breaks[:1] = True
+    step = np.diff(time_s)
+    if step.size == 0 or 0.0 < float(step.max()) <= REGULAR * float(step.min()):
+        return breaks
+    # imported here because most clocks need no median, and a command that fits nothing never does
+    from scipy.ndimage import median_filter
+
+    median = median_filter(step, size=min(AROUND, step.size), mode="nearest")
+    broken = _beyond(step, median, REGULAR)
+    if broken.mean() > IRREGULAR_SHARE:
+        broken = _beyond(step, median, GAP)
+    breaks[1:] = broken | (step <= 0.0)
+    return breaks
+
+
+def _beyond(step: FloatArray, median: FloatArray, factor: float) -> NDArray[np.bool_]:
+    return np.asarray((step > factor * median) | (factor * step < median))

@@ -14,13 +14,13 @@ from tissueid.inference.trials import (
     CURVE_POINTS,
     Adjustment,
     ResidualTotals,
-    lag_one_correlation,
     nrmsd,
     summarise_trial,
 )
 from tissueid.inference.window import fitted_log
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.signal_noise import lag_one_correlation
 from tissueid.trial import Contact, Phase, Segmentation, Source, Trial
 
 MODEL = kelvin_voigt(branches=1, stiffness_degree=1, depth_mm=4.0)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from inference_cases import draw, handle_for
 
-from tissueid.inference.logs import FreeSurface
+from tissueid.inference.channel_law import kelvin_voigt_law
+from tissueid.inference.rounds import LawSurface
 from tissueid.inference.specimen import FitOptions, fit_with_state
-from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.segment import segment
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials
@@ -154,11 +154,11 @@ def test_branches_and_degree_are_chosen_on_the_surface_too():
 def test_a_free_surface_recovers_with_its_closed_form():
     # K and F_s' constant: y' = -y F_s' / (tau (F_s' + K)) once free
     slope, stiffness, tau = 10.0, 30.0, 0.5
-    model = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=3.0)
-    theta = model.join(np.array([slope, 0.0, 0.0]), np.array([[stiffness]]), np.array([tau]))
+    law = kelvin_voigt_law(1, 0, 3.0)
+    linear = np.array([slope, 0.0, 0.0, stiffness]) / law.field(np.log([[tau]]))[0]
     time = np.concatenate([[0.0], np.linspace(100.0, 101.0, 2001)])
     tool = np.concatenate([[3.0], [3.0], np.full(2000, -1.0)])
-    surface, touching = FreeSurface(model, theta).follow(time, tool)
+    surface, touching = LawSurface(law, np.log([tau]), linear).follow(time, tool)
     assert not touching[2:].any()
     # relaxed at 3 mm: let go at once, the surface jumps to where F_s + K (y - 3) = 0
     free = 3.0 * stiffness / (slope + stiffness)
@@ -166,7 +166,7 @@ def test_a_free_surface_recovers_with_its_closed_form():
     expected = free * np.exp(-since * slope / (tau * (slope + stiffness)))
     # the first step moves the surface within half a millisecond: h/tau = 1e-3
     assert surface[2:] == pytest.approx(expected[1:], rel=2e-3)
-    moved, _ = FreeSurface(model, theta, offset_mm=0.25).follow(time, tool + 0.25)
+    moved, _ = LawSurface(law, np.log([tau]), linear, 0.25 / 3.0).follow(time, tool + 0.25)
     assert moved == pytest.approx(surface + 0.25, rel=1e-12)
 
 

@@ -7,23 +7,26 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from inference_cases import blocks_from, log_data, point_of, ramp_hold, system_of
+from inference_cases import blocks_from, handle_for, log_data, point_of, ramp_hold, system_of
 
 from tissueid.inference.blocks import SAMPLED, _digits, log_blocks
 from tissueid.inference.channel_law import kelvin_voigt_law
+from tissueid.inference.logs import blocks_of
+from tissueid.inference.rounds import LawSurface
+from tissueid.inference.system import Effects, Point, System
 from tissueid.inference.window import (
     FOLDS,
     GUARD_SD,
     STRETCHES,
     LogData,
     assign_folds,
-    chain_breaks,
     fitted_log,
 )
 from tissueid.measured.relaxation import relaxation_rows
 from tissueid.model.base import ContactPath
 from tissueid.pipeline import identify
 from tissueid.segment import SegmentOptions, segment
+from tissueid.signal_noise import chain_breaks
 from tissueid.trial import Contact, Phase, Segmentation, Trial
 
 STEP = 0.01
@@ -280,22 +283,41 @@ def let_go(rest_s: float, *, back_mm: float = 0.0, set_mm: float = 0.0, seed: in
     F = 0.4 x + q, q' = 0.5 x' - q / 2 s.  A free surface comes back as exp(-t / 4.5 s); ``set_mm``: it
     stays so much deeper from the second loop on.
     """
-    elastic, viscous, tau = 0.4, 0.5, 2.0
     knots = [0.0, 1.0, *np.cumsum([2.0, 1.5, 1.5, 1.5, 1.5, 1.5, rest_s, 1.5, 20.0]) + 1.0]
     depths = [0.0, 0.0, 4.0, back_mm, 4.0, back_mm, 4.0, back_mm, back_mm, 4.0, 4.0]
     time = np.arange(0.0, knots[-1], 0.01)
-    tool = np.interp(time, knots, depths) - 1.0 - set_mm * (time > 3.5)
-    force, surface, state = np.zeros(time.size), 0.0, 0.0
+    tool = np.interp(time, knots, depths)
+    force = closed_form(tool - 1.0 - set_mm * (time > 3.5))
+    return Trial("loops", time, tool, force + noise_of(time.size, seed))
+
+
+def closed_form(depth: np.ndarray) -> np.ndarray:
+    """Force at 100 Hz of F = 0.4 x + q, q' = 0.5 x' - q / 2 s, whose free surface is exponential."""
+    elastic, viscous, tau = 0.4, 0.5, 2.0
+    force, surface, state = np.zeros(depth.size), 0.0, 0.0
     away, free = np.exp(-0.01 / tau), np.exp(-0.01 / (tau * (1.0 + viscous / elastic)))
-    for n in range(1, time.size):
-        moved = away * state + viscous * tau * 100.0 * (1.0 - away) * (tool[n] - surface)
-        if elastic * tool[n] + moved >= 0.0 and tool[n] >= 0.0:
-            surface, state = tool[n], moved
+    for n in range(1, depth.size):
+        moved = away * state + viscous * tau * 100.0 * (1.0 - away) * (depth[n] - surface)
+        if elastic * depth[n] + moved >= 0.0 and depth[n] >= 0.0:
+            surface, state = depth[n], moved
             force[n] = elastic * surface + state
         else:
             surface *= free
             state = -elastic * surface
-    return Trial("loops", time, tool + 1.0 + set_mm * (time > 3.5), force + noise_of(time.size, seed))
+    return force
+
+
+def loadings(speeds, depths, *, hold_s=0.0, back_mm=0.0, rest_s=4.0, seed=1) -> Trial:
+    """Pushes of the same tissue, each back to ``back_mm`` where the tool rests; contact at 1 mm."""
+    times, knots = [0.0, 1.0], [0.0, 0.0]
+    for speed, depth in zip(speeds, depths, strict=True):
+        for to in (1.0 + depth, back_mm):
+            times += [times[-1] + abs(to - knots[-1]) / speed]
+            times += [times[-1] + (hold_s if to > back_mm else rest_s)]
+            knots += [to, to]
+    time = np.arange(0.0, times[-1], 0.01)
+    tool = np.interp(time, times, knots)
+    return Trial("loadings", time, tool, closed_form(tool - 1.0) + noise_of(time.size, seed))
 
 
 def noise_of(samples: int, seed: int) -> np.ndarray:
@@ -329,6 +351,70 @@ def test_a_test_after_cycles_that_let_go_gives_back_the_tissue(how) -> None:
         assert one.value == pytest.approx(value, rel=0.07), name
     (said,) = [flag.message for flag in found.trials[0].flags if flag.code == "unloading_left_out"]
     assert "3 cycles before the test (their state is carried on)" in said
+
+
+@pytest.mark.parametrize(
+    ("plan", "count"),
+    [
+        ({"speeds": (0.5, 2.0, 5.0), "depths": (3.0,) * 3}, 3),
+        ({"speeds": (5.0, 0.5), "depths": (3.0,) * 2, "rest_s": 15.0}, 2),
+        ({"speeds": (0.5, 2.0, 5.0), "depths": (3.0,) * 3, "back_mm": 2.0}, 3),
+        ({"speeds": (2.0,) * 3, "depths": (1.0, 2.0, 3.0), "hold_s": 6.0}, 3),
+    ],
+)
+def test_loadings_of_several_speeds_or_held_depths_are_fitted_together(plan, count) -> None:
+    trial = loadings(**plan)
+    log = fitted_log(trial, segment(trial))
+    assert log.loadings == count
+    turned = np.diff(log.tool_mm if log.tool_mm is not None else log.data.depth_mm) < -1e-9
+    assert not log.data.include[1:][turned].any()
+    found = identify([trial]).specimens[0]
+    assert (found.model.branches, found.model.stiffness_degree) == (1, 0)
+    truth = {"static_1_N_per_mm": 0.4, "stiffness_0_N_per_mm": 0.5, "relaxation_time_s": 2.0}
+    for name, value in truth.items():
+        assert found.parameter(name).value == pytest.approx(value, rel=0.04), name
+    (said,) = [flag.message for flag in found.trials[0].flags if flag.code == "unloading_left_out"]
+    assert f"the unloading between {count} loadings (their state is carried on)" in said
+
+
+@pytest.mark.parametrize("depths", [(3.0, 3.0, 3.0), (1.0, 2.0, 3.0)])
+def test_loadings_of_one_speed_without_a_hold_are_repetitions(depths) -> None:
+    trial = loadings((2.0,) * 3, depths)
+    log = fitted_log(trial, segment(trial))
+    assert log.loadings == 1
+    assert log.data.time_s[-1] == pytest.approx(1.0 + (1.0 + depths[0]) / 2.0, abs=0.03)
+
+
+def test_forces_know_how_a_surface_moves_with_the_law() -> None:
+    trial = loadings((0.5, 2.0, 5.0), (3.0,) * 3)
+    (handle,) = [handle_for(trial, segment(trial))]
+    law = kelvin_voigt_law(1, 0, 3.0)
+    times, linear = np.log([2.0]), np.array([1.2, 0.0, 0.0, 1.5])
+
+    def system(times, linear, offset):
+        held = replace(handle, surface=LawSurface(law, times, linear, offset))
+        log = held.fitted()[1]
+        # which samples touch moves with the law, too
+        data = replace(log.data, include=include if include.size else log.data.include)
+        return System([blocks_of(held, replace(log, data=data), whole=True)], law, 3.0, Effects())
+
+    include = np.empty(0, dtype=bool)
+    at = Point(times, np.zeros(3), linear, np.array([[0.01]]))
+    here = system(times, linear, 0.01)
+    include = replace(handle, surface=LawSurface(law, times, linear, 0.01)).fitted()[1].data.include
+    parts = here.derivatives(at, machine=False)
+    for moved, by in (
+        (replace(at, log_times=times + 1e-4), parts.shared[:, 0]),
+        (replace(at, linear=linear + 1e-4 * np.eye(4)[0]), parts.shared[:, 4]),
+        (replace(at, linear=linear + 1e-4 * np.eye(4)[3]), parts.shared[:, 7]),
+        (replace(at, own=at.own + 1e-4), parts.own[:, 0]),
+    ):
+        there = system(moved.log_times, moved.linear, float(moved.own[0, 0]))
+        there.remembered = None
+        change = there.predict(moved) - parts.force
+        assert np.abs(change - 1e-4 * by).max() < 0.03 * np.abs(change).max()
+    # what is carried through air is no small part of that
+    assert (np.abs(here.remembered.by[:, [0, 1, 4]]).max(axis=0) > 0.09).all()
 
 
 def ruptured() -> Trial:

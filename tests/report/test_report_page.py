@@ -16,7 +16,8 @@ from fit_factory import specimen_fit
 from posterior_factory import sampled
 from report_pages import document_of, drawn, page, payload_of, render_report, self_contained, wide
 
-from tissueid.report.figures import curve_bytes, kept_samples, thinned
+from tissueid.arrays import kept_samples
+from tissueid.report.figures import curve_bytes, thinned
 from tissueid.report.page import plotly_script
 from tissueid.store.curves import curves_of_fits
 

@@ -8,14 +8,14 @@ rule).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray, IntArray
-from tissueid.inference.window import LogData
+from tissueid.inference.window import LogData, SurfaceResponse
 from tissueid.signal_noise import quantum, white_noise_sd
 
 #: Samples up to which a log is kept sample by sample.
@@ -60,6 +60,7 @@ class Blocks:
     #: (k,): variance of the digits' error that no averaging takes off, over that of a sample.
     digits: FloatArray
     speed_ratio: FloatArray  # (m,), speed over that at which each contact began; zero where no law follows it
+    response: SurfaceResponse | None = None  # of ``depth_mm`` where a surface is followed
 
 
 def _digits(force: FloatArray, means: FloatArray) -> FloatArray:
@@ -223,6 +224,9 @@ def log_blocks(
     chain[0] = True
     gap = np.diff(got.place, prepend=got.place[0] - 1) > 1
     ratio = np.zeros(time.size) if data.speed_ratio is None else data.speed_ratio
+    response = data.response
+    if response is not None:
+        response = replace(response, by=np.array([np.interp(grid_t, time, one) for one in response.by]))
     return Blocks(
         time_s=np.ascontiguousarray(grid_t),
         depth_mm=np.ascontiguousarray(grid_x),
@@ -238,6 +242,7 @@ def log_blocks(
         contact_sd_mm=contact_sd_mm,
         digits=_digits(force[include], got.force_N),
         speed_ratio=np.interp(grid_t, time, ratio),
+        response=response,
     )
 
 

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.law import Path, Slopes, passive_rows, relaxation_states
-from tissueid.inference.window import FittedLog, LogData, chain_breaks
+from tissueid.inference.window import FittedLog, LogData
 from tissueid.model.channels import ChannelModel, DampedModel, minimum_on_unit
 from tissueid.model.grammar import known_laws
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw
-from tissueid.signal_noise import white_noise_sd
+from tissueid.signal_noise import chain_breaks, white_noise_sd
 from tissueid.trial import Segmentation, Trial, contact_frame
 
 #: Coefficients below this share of the largest of their polynomial are rounding.

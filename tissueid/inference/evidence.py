@@ -20,8 +20,8 @@ from tissueid.inference.noise import Memory, whitener
 from tissueid.inference.optimum import Noise, Normal, normal_equations, whitener_of
 from tissueid.inference.prior import PriorRows
 from tissueid.inference.system import Derivatives, Point, System
-from tissueid.inference.window import FittedLog, chain_breaks
-from tissueid.signal_noise import quantum, white_noise_sd
+from tissueid.inference.window import FittedLog
+from tissueid.signal_noise import chain_breaks, quantum, white_noise_sd
 from tissueid.trial import Segmentation, Trial, contact_frame
 
 #: Part of a hold, from its end, that counts as quiet; degrees of what is taken off it and off the air.

@@ -414,7 +414,7 @@ def _with_best_linear(
     prior, first = here.prior, system.law.times + len(MACHINE)
     force, columns = system.tip_force(point)
     both = force[None] if system.effects.gain else np.concatenate([force[None], system.soft * columns])
-    seen = system.means(system.recorded(both, point.machine))
+    seen = system.carrying(system.means(system.recorded(both, point.machine)), point)
     residual = white(system.force - seen[0]) / here.noise_N
     value = float(residual @ residual) + prior_cost(prior, point)
     if system.effects.gain:

@@ -1,7 +1,7 @@
 """Fit on the path of the surface, follow the surface under the fit, until the two agree.
 
-A fixed-point iteration: the path's dependence on the parameters is not differentiated.  Whether it settled is
-said, and the result is checked against a direct simulation of every log.
+Gauss-Newton: forces answer to first order to the surface that moves with the law, in intervals too; in fits
+of unloading, and where loops moved the contact, a fixed-point iteration.  What has not settled is said.
 """
 
 from __future__ import annotations
@@ -11,21 +11,26 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
+from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.engine import Identified
 from tissueid.inference.estimates import TissueEstimate
 from tissueid.inference.logs import LogHandle
+from tissueid.inference.system import Point
 from tissueid.inference.trials import Adjustment
-from tissueid.inference.window import FreeSurface, air_limit
+from tissueid.inference.window import SurfaceResponse
+from tissueid.measured.loadings import air_limit
 
-#: Rounds; changes of the parameters, in standard errors, that count as none and as too much; rounds after
-#: which steps are halved: they may go back and forth over a sample that is in contact or not.
-MAX_ROUNDS, SETTLED_SD, ROUGH_SD, DAMPED_AFTER = 12, 0.05, 0.5, 3
+#: Rounds, each going half as far where the one before did not halve what was left; changes of the parameters,
+#: in standard errors, that count as none and as too much.
+MAX_ROUNDS, SETTLED_SD, ROUGH_SD = 12, 0.05, 0.5
 #: Root mean square of the residual in air, over that in contact, beyond which the law of contact loss fails.
 AIR_MISFIT = 3.0
-
+#: Step of a response: of a ln time, of a coefficient over its size, or over that of the largest one.
+RESPONSE, LEAST_COEFFICIENT = 1e-4, 1e-2
 
 Identify = Callable[[Sequence[LogHandle]], tuple[Identified, list[LogHandle]]]
 
@@ -45,29 +50,48 @@ class Followed:
         return self.change_sd < SETTLED_SD
 
 
-def _surfaces(found: Identified) -> list[FreeSurface]:
-    """Laws of the surfaces under a fit."""
-    point = found.optimum.point
-    theta = found.law.theta(point.log_times, point.linear)[0]
-    offset = found.system.offsets(point) * found.system.depth_mm
-    return [FreeSurface(found.law.model(), theta, float(by)) for by in offset]
+@dataclass(frozen=True, slots=True, eq=False)
+class LawSurface:
+    """The law that says where the surface of one log stands."""
+
+    law: ChannelLaw
+    log_times: FloatArray  # (t,)
+    linear: FloatArray  # (p,), passive
+    offset: float = 0.0  # contact offset of the log against its contact frame, over the largest depth
+
+    def follow(self, time_s: FloatArray, tool_mm: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Depth of the surface [mm] in the frame of the log, and whether the tool touches it."""
+        offset_mm = self.offset * self.law.depth_mm
+        law_mm = tool_mm - offset_mm
+        theta = self.law.theta(self.log_times, self.linear)[0]
+        surface, _ = self.law.model().follow(theta, time_s, law_mm)
+        touching = surface <= law_mm
+        return np.where(touching, tool_mm, surface + offset_mm), touching
+
+    def response(self, time_s: FloatArray, tool_mm: FloatArray, path_mm: FloatArray) -> SurfaceResponse:
+        """Response of the path by finite differences; ``path_mm`` is the path itself."""
+        scale = np.maximum(np.abs(self.linear), LEAST_COEFFICIENT * np.abs(self.linear).max(initial=0.0))
+        moved = [
+            replace(self, log_times=self.log_times + one) for one in RESPONSE * np.eye(self.log_times.size)
+        ]
+        moved += [replace(self, linear=self.linear + one) for one in RESPONSE * np.diag(scale)]
+        moved += [replace(self, offset=self.offset + RESPONSE)]
+        by = [one.follow(time_s, tool_mm)[0] - path_mm for one in moved]
+        steps = np.concatenate([np.full(self.log_times.size, RESPONSE), RESPONSE * scale, [RESPONSE]])
+        return SurfaceResponse(self.log_times, self.linear, self.offset, np.array(by) / steps[:, None])
 
 
-def _halfway(one: FreeSurface, other: FreeSurface | None) -> FreeSurface:
-    """Between two laws of one order: passive as both are, for the cone is convex."""
-    if other is None or other.theta.shape != one.theta.shape:
-        return one
-    theta, offset = 0.5 * (one.theta + other.theta), 0.5 * (one.offset_mm + other.offset_mm)
-    return replace(one, theta=theta, offset_mm=offset)
+def _surfaces(found: Identified, point: Point) -> list[LawSurface]:
+    """Surfaces of the logs under a fit's law at a point."""
+    offsets = found.system.offsets(point)
+    return [LawSurface(found.law, point.log_times, point.linear, float(by)) for by in offsets]
 
 
-def _moved(before: Identified, now: Identified) -> float:
-    """Largest difference of shared parameters in standard errors; infinite between different orders."""
-    if before.law != now.law:
-        return float("inf")
+def _moved(before: Point, now: Identified) -> float:
+    """Largest difference of shared parameters from those whose surface was followed, in standard errors."""
     error = np.sqrt(np.maximum(np.diag(now.optimum.covariance), 0.0))
     known = error > 0.0
-    change = np.abs(now.optimum.point.shared - before.optimum.point.shared)
+    change = np.abs(now.optimum.point.shared - before.shared)
     return float((change[known] / error[known]).max(initial=0.0))
 
 
@@ -75,18 +99,17 @@ def follow_surfaces(
     found: Identified, current: list[LogHandle], identify: Identify, tick: Callable[[str], None]
 ) -> Followed:
     """Fit logs on the paths of their own surfaces; ``found``: on those that the measured force tells."""
-    change, count = float("inf"), 0
+    change, count, at = float("inf"), 0, found.optimum.point
     for count in range(1, MAX_ROUNDS + 1):
         tick(f"free surface, round {count}")
-        surfaces = _surfaces(found)
-        if count > DAMPED_AFTER:
-            pairs = zip(surfaces, current, strict=True)
-            surfaces = [_halfway(surface, handle.surface) for surface, handle in pairs]
-        on = zip(current, surfaces, strict=True)
-        after, current = identify([replace(handle, surface=surface) for handle, surface in on])
-        change, found = _moved(found, after), after
+        on = zip(current, _surfaces(found, at), strict=True)
+        found, current = identify([replace(handle, surface=surface) for handle, surface in on])
+        before, change = change, _moved(at, found)
         if change < SETTLED_SD:
             break
+        # a point between two passive ones is passive: the cone is convex
+        to, share = found.optimum.point, 1.0 if change < 0.5 * before else 0.5
+        at = at.moved(at.shared + share * (to.shared - at.shared), at.own + share * (to.own - at.own))
     return Followed(handles=current, identified=found, rounds=count, change_sd=change)
 
 

@@ -25,6 +25,7 @@ from tissueid.inference.optimum import about_mean, free_of, minimise, nearest_in
 from tissueid.inference.prior import PriorRows, prior_rows, time_bounds
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import SHAPE, Point, System
+from tissueid.inference.window import MIN_SAMPLES
 from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
 
 #: Relative difference of sums of squares, and of ln tau in standard errors, within which optima agree.
@@ -193,6 +194,8 @@ def _ln_tau(identified: Identified, handles: Sequence[LogHandle], share: float) 
     for handle in handles:
         cut = replace(handle, hold_share=share)
         _, log = cut.fitted()
+        if log.n_samples < MIN_SAMPLES:
+            return None
         blocks.append(blocks_of(cut, log))
     found, request = identified.optimum.point, identified.request
     law = kelvin_voigt_law(1, identified.law.degree, identified.system.depth_mm)

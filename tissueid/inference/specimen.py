@@ -22,7 +22,7 @@ from tissueid.inference.frame_effect import machine_flag
 from tissueid.inference.logs import LogHandle, blocks_of, speed_handles
 from tissueid.inference.quoted import EQUALLY_LONG, depth_test, quoted_numbers, with_form, with_moduli
 from tissueid.inference.residual_blocks import sandwich_covariance
-from tissueid.inference.rounds import Followed, follow_surfaces, unloading_verdict, unsettled
+from tissueid.inference.rounds import ROUGH_SD, Followed, follow_surfaces, unloading_verdict, unsettled
 from tissueid.inference.second_looks import relaxation_window, settled
 from tissueid.inference.summaries import Known, Look, Summaries, second_pass
 from tissueid.inference.system import Point
@@ -370,16 +370,20 @@ def _fit(
     return found.at(identified.optimum.point)
 
 
-#: Contact sd by which a fit moves a contact that then has set.
-SET_SD = 3.0
+#: Contact sd by which a fit moves a contact that then has set; orders that are chosen on surfaces found.
+SET_SD, ORDERS = 3.0, 2
 
 
-def _remembered(found: Identified, handles: list[LogHandle], tick: Callable[[str], None]) -> Followed:
-    """Tests after loops that let go, on the surface that comes back in between under the law found.
+def _remembered(
+    found: Identified, handles: list[LogHandle], tick: Callable[[str], None], again: int = ORDERS
+) -> Followed:
+    """Loadings with loops between them that let go, on the surface that comes back under the law found.
 
-    A contact that the fit moves far from where it was first met has set: its prior is widened.
+    A contact that the fit moves far from where it was first met has set: its prior is widened.  The order is
+    chosen again on the surface found.
     """
-    order = replace(found.request, branches=(found.law.branches,), degrees=(found.law.degree,))
+    law = found.law
+    order = replace(found.request, branches=(law.branches,), degrees=(law.degree,))
     identify = partial(identify_handles, request=order, tick=tick)
     followed = follow_surfaces(found, handles, identify, tick)
     at = adjustments_of(followed.identified, handles, followed.identified.optimum.point)
@@ -389,7 +393,12 @@ def _remembered(found: Identified, handles: list[LogHandle], tick: Callable[[str
     far = [abs(one.contact_offset_mm) / SET_SD for one in at]
     if any(tight < min(by, sd) for by, (tight, sd) in zip(far, known, strict=True)):
         return _remembered(*identify_handles(wide, found.request, tick), tick)
-    same = replace(followed.identified, table=found.table, as_good=found.as_good, rivals=found.rivals)
+    chosen, on = identify_handles(followed.handles, found.request, tick)
+    if again and (chosen.law.branches, chosen.law.degree) != (law.branches, law.degree):
+        other = _remembered(chosen, on, tick, again - 1)
+        if other.change_sd < ROUGH_SD or followed.change_sd >= ROUGH_SD:
+            return other
+    same = replace(followed.identified, table=chosen.table, as_good=chosen.as_good, rivals=chosen.rivals)
     return replace(followed, identified=same)
 
 

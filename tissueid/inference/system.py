@@ -7,7 +7,7 @@ by the predicted force; the filter is one pole; force lags displacement by the s
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -83,6 +83,15 @@ class Derivatives:
     own: FloatArray
 
 
+class Remembered(NamedTuple):
+    """Forces of the observations by the surface of which law their path follows."""
+
+    log_times: FloatArray  # (t,)
+    linear: FloatArray  # (p,)
+    offsets: FloatArray  # (logs,), over the largest depth
+    by: FloatArray  # (k, t + p + 1)
+
+
 class Deflection(NamedTuple):
     """Deflection of the frame as it is iterated along all points."""
 
@@ -154,6 +163,7 @@ class System:
         self.soft = np.ones(self.guess.size)
         self.settled = True
         self.onset = np.array([_onset(one) for one in logs]) / depth_mm
+        self.remembered = self._remembered()
 
     @property
     def deflection(self) -> Deflection:
@@ -169,12 +179,50 @@ class System:
         new = object.__new__(System)
         new.__dict__.update(self.__dict__)
         new.law = law
+        new.remembered = new._remembered()
         return new
 
     def of(self, logs: Sequence[Blocks], numbers: Sequence[int]) -> System:
         """Some of the logs by their numbers, in blocks that are given, under the same law."""
         law = self.law.along(tuple(numbers))
         return System(logs, law, self.depth_mm, self.effects, give=self.give)
+
+    def _remembered(self) -> Remembered | None:
+        """Response of the observations to the law whose surfaces the paths follow, if it is of this kind."""
+        each = [one.response for one in self.logs]
+        if any(one is None for one in each):
+            return None
+        told = [one for one in each if one is not None]
+        times, linear = told[0].log_times, told[0].linear
+        if (times.size, linear.size) != (self.law.times, self.law.linear):
+            return None
+        offsets = np.array([one.offset for one in told])
+        depth = self.travel - self.at_points(offsets)
+        by = np.concatenate([one.by for one in told], axis=1) / self.depth_mm
+
+        def force(depths: FloatArray) -> FloatArray:
+            return np.asarray(linear @ self.law.columns(times, self.path(depths)))
+
+        still = force(depth)
+        rows = [(force(depth + STEP_DEPTH * one) - still) / STEP_DEPTH for one in by]
+        return Remembered(times, linear, offsets, self.means(np.array(rows)).T)
+
+    def _carried(self, point: Point) -> FloatArray:
+        """Force of the observations by surfaces that move with the law, to first order; (k,) or (n, k)."""
+        if self.remembered is None:
+            return np.zeros(1)
+        times, linear, offsets, by = self.remembered
+        t, p = times.size, linear.size
+        out = (point.log_times - times) @ by[:, :t].T + (point.linear - linear) @ by[:, t : t + p].T
+        return np.asarray(out + (self.offsets(point) - offsets)[..., self.log] * by[:, -1])
+
+    def carrying(self, seen: FloatArray, point: Point) -> FloatArray:
+        """Force at a point and its columns, (1 + p, ..., k), with what surfaces that move add to them."""
+        if self.remembered is not None:
+            columns = self.remembered.by[:, self.law.times : -1].T[: len(seen) - 1]
+            seen[0] += self._carried(point)
+            seen[1:] += columns.reshape(len(columns), *(1,) * (seen.ndim - 2), seen.shape[-1])
+        return seen
 
     @property
     def centred(self) -> bool:
@@ -301,7 +349,7 @@ class System:
     def predict(self, point: Point) -> FloatArray:
         """Forces of the observations, shape (k,) [N]."""
         force, _ = self.tip_force(point)
-        return self.means(self.recorded(force, point.machine))
+        return self.means(self.recorded(force, point.machine)) + self._carried(point)
 
     def follow(self, point: Point) -> None:
         """Iterate the frame's deflection from this point's force from now on."""
@@ -362,7 +410,7 @@ class System:
     def near(self, point: Point) -> FloatArray:
         """Forces (k,) or (n, k) near the point whose force the frame's deflection is iterated from."""
         base, _ = self.tip_force(point, rounds=0)
-        return self.means(self.recorded(base, point.machine))
+        return self.means(self.recorded(base, point.machine)) + self._carried(point)
 
     def near_parts(self, point: Point) -> FloatArray:
         """The same, which is linear: without linear parameters, and their columns, (1 + p, n, k)."""
@@ -370,7 +418,9 @@ class System:
         parts = np.zeros((1 + len(columns), *columns.shape[1:]))
         soft = self.soft if self._yields(point) else np.ones(1)
         parts[0], parts[1:] = (1.0 - soft) * self.guess, soft * columns
-        return self.means(self.recorded(parts, point.machine))
+        seen = self.means(self.recorded(parts, point.machine))
+        none = np.zeros((*point.log_times.shape[:-1], self.law.linear))
+        return self.carrying(seen, replace(point, linear=none))
 
     def derivatives(self, point: Point, *, machine: bool, follow: bool = False) -> Derivatives:
         """Forces with their derivatives; those by a machine that is not asked about are zero.
@@ -416,7 +466,15 @@ class System:
                 other[j] += STEP_MACHINE
                 moved = self.means(self.recorded(base, other))
                 shared[:, t + j] = (moved - found[:, 0]) / STEP_MACHINE + found[:, t + 2]
-        return Derivatives(found[:, 0], shared, found[:, last:])
+        own = found[:, last:]
+        if self.remembered is not None:
+            by = self.remembered.by
+            shared[:, :t] += by[:, :t]
+            shared[:, t + 3 :] += by[:, t:-1]
+            if machine:
+                shared[:, t + 1 : t + 3] -= (self.onset[self.log] * by[:, -1])[:, None]
+            own[:, int(self.effects.gain)] += by[:, -1]
+        return Derivatives(found[:, 0] + self._carried(point), shared, own)
 
     def _by_own(self, base: FloatArray, behind: FloatArray, by_contact: FloatArray) -> list[FloatArray]:
         """Derivatives of the force at the tip by what is a log's own, the frame held; (m,) each."""

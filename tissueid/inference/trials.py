@@ -7,15 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, kept_samples
 from tissueid.flags import Flag
 from tissueid.inference.window import FittedLog
 from tissueid.result import Curve, Nrmsd, TrialFit
+from tissueid.signal_noise import lag_one_correlation
 from tissueid.trial import Segmentation, Trial
 
 
@@ -35,15 +34,6 @@ def over_force(rmse: float, spread: float, mean: float) -> Nrmsd:
         return 0.0 if rmse == 0.0 else float("inf")
 
     return Nrmsd(range=over(spread), mean=over(mean), rmse_N=rmse)
-
-
-def lag_one_correlation(residual: FloatArray) -> float:
-    """Autocorrelation of a residual at one sample; 0 for fewer than three samples."""
-    centred = np.asarray(residual) - np.mean(residual)
-    power = float(centred @ centred)
-    if centred.size < 3 or power == 0.0:
-        return 0.0
-    return float(centred[1:] @ centred[:-1]) / power
 
 
 #: Points a kept curve has at most: every sample of 100 s at 100 Hz, seven a pixel of a wide screen.  Of
@@ -100,21 +90,6 @@ def _after_corners(corners: Sequence[tuple[int, int]]) -> set[int]:
     return keep
 
 
-def kept_samples(
-    force: FloatArray, depth: FloatArray, corners: Sequence[tuple[int, int]]
-) -> NDArray[np.int64]:
-    """Samples to keep, ascending: ends, extremes of force and depth in bins, and what follows corners."""
-    n = force.size
-    if n <= CURVE_POINTS:
-        return np.arange(n)
-    keep = {0, n - 1} | {i for i in _after_corners(corners) if 0 <= i < n}
-    edges = np.linspace(0, n, (CURVE_POINTS - len(keep)) // 4 + 1).astype(np.int64)
-    for first, last in pairwise(edges.tolist()):
-        keep |= {first, first + int(np.argmin(force[first:last])), first + int(np.argmax(force[first:last]))}
-        keep.add(first + int(np.argmax(depth[first:last])))
-    return np.array(sorted(keep))
-
-
 def _left_out(trial: Trial, segmentation: Segmentation, log: FittedLog) -> list[Flag]:
     """Parts of the recording left out of the fit, with reasons."""
     size = int(trial.time_s.size)
@@ -126,8 +101,10 @@ def _left_out(trial: Trial, segmentation: Segmentation, log: FittedLog) -> list[
         elif segmentation.phases and reach >= segmentation.phases[-1].stop:
             since = "the part that was asked for"
         else:
-            since = "the tool first turned back"
+            since = "the tool first turned back" if log.loadings == 1 else "the tool last turned back"
         words.append(f"{size - reach} of {size} samples after {since}")
+    if log.loadings > 1:
+        words.append(f"the unloading between {log.loadings} loadings (their state is carried on)")
     cycles = sum(phase.kind == "cycle" for phase in segmentation.phases[: segmentation.test])
     if cycles:
         kept = log.first < segmentation.phases[segmentation.test].start
@@ -172,7 +149,8 @@ def summarise_trial(
     acf = lag_one_correlation(residual)
     first = log.first - int(log.inserted)
     corners = [(phase.start - first, phase.stop - first) for phase in segmentation.of_kind("hold")]
-    keep = kept_samples(data.force_N, data.depth_mm, corners)
+    fixed = {i for i in _after_corners(corners) if 0 <= i < data.force_N.size}
+    keep = kept_samples((data.force_N, data.depth_mm), CURVE_POINTS, CURVE_POINTS - len(fixed), fixed)
     return TrialFit(
         path=trial.source.path,
         sheet=trial.source.sheet,

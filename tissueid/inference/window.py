@@ -12,37 +12,44 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
+from tissueid.measured.loadings import (
+    ONE_DEPTH,
+    first_of_test,
+    loading_speed,
+    loadings_of,
+    mean_speed,
+    measured_surface,
+)
 from tissueid.measured.pushes import usable_until
-from tissueid.model.channels import ChannelModel
+from tissueid.signal_noise import chain_breaks
 from tissueid.trial import RENDERED, Phase, Segmentation, Trial, contact_frame
 
 #: Contact standard deviations below contact that stay out of the likelihood.
 GUARD_SD = 3.0
 #: Fewest samples that are worth a fit.
 MIN_SAMPLES = 6
-#: Ratio of speeds, and of depths of holds, below which a set counts as one.
-ONE_SPEED, ONE_DEPTH = 1.2, 1.2
+#: Ratio of speeds below which a set counts as one.
+ONE_SPEED = 1.2
 #: Held-out groups of a specimen with one log, and stretches a phase is cut into for them.
 FOLDS, STRETCHES = 6, 24
-#: Measured force, over the peak and in standard deviations of its noise, below which the tool is in air.
-AIR_SHARE, AIR_SD = 0.01, 3.0
-#: Samples of the running mean that is compared with it; shorter stays in air or contact are noise.
-SMOOTHED = 5
-#: Depth, over the largest, that a surface is back at.
-LEAST_BACK = 1e-3
-#: Steps whose median a step is compared with: the first step of a new rate sees five of its own nine.
-AROUND = 9
-#: A regular clock keeps its step to this factor (time stamps are printed with more digits than that) ...
-REGULAR = 1.0 + 1e-4
-#: ... but for this part of its steps, which are gaps and event rows.
-IRREGULAR_SHARE = 0.05
-#: Of any other clock a step is a gap that is so many medians long, an event row one as many times shorter.
-GAP = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceResponse:
+    """First-order response of a path in air to the law whose surface it follows."""
+
+    log_times: FloatArray  # (t,)
+    linear: FloatArray  # (p,)
+    offset: float  # contact offset of the log over the largest depth
+    #: (t + p + 1, n): depth by ln times, linear parameters and offset [mm].
+    by: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +68,7 @@ class LogData:
     exact: bool = False
     #: (n,): speed over that at which each contact began (:mod:`tissueid.inference.channel_law`).
     speed_ratio: FloatArray | None = None
+    response: SurfaceResponse | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,6 +88,7 @@ class FittedLog:
     #: (n,): depth of a tool that turned back and may have let go: ``data.depth_mm`` is then that of the
     #: surface that it leaves behind.
     tool_mm: FloatArray | None = None
+    loadings: int = 1  # of several speeds, or of several depths with holds
 
     def without_samples(self) -> FittedLog:
         """The facts alone: the first and last sample stand for all."""
@@ -98,90 +107,14 @@ class FittedLog:
         return float(self.data.time_s[-1] - self.data.time_s[0])
 
 
-def chain_breaks(time_s: FloatArray) -> NDArray[np.bool_]:
-    """Samples that start a chain of noise: the first, at gaps, event rows and repeated times, (n,)."""
-    breaks = np.zeros(time_s.size, dtype=np.bool_)
-    breaks[:1] = True
-    step = np.diff(time_s)
-    if step.size == 0 or 0.0 < float(step.max()) <= REGULAR * float(step.min()):
-        return breaks
-    # imported here because most clocks need no median, and a command that fits nothing never does
-    from scipy.ndimage import median_filter
-
-    median = median_filter(step, size=min(AROUND, step.size), mode="nearest")
-    broken = _beyond(step, median, REGULAR)
-    if broken.mean() > IRREGULAR_SHARE:
-        broken = _beyond(step, median, GAP)
-    breaks[1:] = broken | (step <= 0.0)
-    return breaks
-
-
-def _beyond(step: FloatArray, median: FloatArray, factor: float) -> NDArray[np.bool_]:
-    return np.asarray((step > factor * median) | (factor * step < median))
-
-
-def _first_of_test(segmentation: Segmentation) -> int:
-    """The first sample of the test proper; 0 without preconditioning, or where it broke the tissue."""
-    if not segmentation.test:
-        return 0
-    start = segmentation.phases[segmentation.test].start
-    return start if usable_until(segmentation, start + 1) > start else 0
-
-
-def first_turn(segmentation: Segmentation, depth: FloatArray, first: int) -> int:
-    """One past the last sample before the tool first turns back, or the tissue breaks."""
-    stop = usable_until(segmentation, depth.size)
-    begins = _first_of_test(segmentation)
-    last = first
-    for phase in segmentation.phases:
-        if phase.stop <= first + 1 or phase.stop <= begins + 1:
-            continue
-        if phase.kind == "cycle":
-            peak = phase.start + int(np.argmax(depth[phase.start : phase.stop]))
-            return min(max(last, peak + 1), stop)
-        if phase.kind == "retract":
-            return min(max(last, phase.start + 1), stop)
-        last = phase.stop
-    return min(last, stop) if last > first else stop
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FreeSurface:
+class FreeSurface(Protocol):
     """The law that says where the surface of one log stands."""
-
-    model: ChannelModel
-    theta: FloatArray  # (p,), passive
-    offset_mm: float = 0.0  # contact offset of the log against its contact frame
 
     def follow(self, time_s: FloatArray, tool_mm: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Depth of the surface [mm] in the frame of the log, and whether the tool touches it."""
-        law_mm = tool_mm - self.offset_mm
-        surface, _ = self.model.follow(self.theta, time_s, law_mm)
-        return surface + self.offset_mm, surface <= law_mm
 
-
-def air_limit(force_N: FloatArray, noise_N: float) -> float:
-    """Mean force over :data:`SMOOTHED` samples below which the tool counts as in air [N]."""
-    return max(AIR_SHARE * float(force_N.max()), AIR_SD * noise_N / float(np.sqrt(SMOOTHED)))
-
-
-def _measured_surface(
-    time_s: FloatArray, tool_mm: FloatArray, *, force_N: FloatArray, turn: int, noise_N: float
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """The first path: in air where the force says so, the surface coming back as an exponential does."""
-    # imported here as in :func:`chain_breaks`
-    from scipy.ndimage import find_objects, label, median_filter
-
-    mean = np.convolve(force_N, np.ones(SMOOTHED) / SMOOTHED, mode="same")
-    air = (mean < air_limit(force_N, noise_N)) & (np.arange(force_N.size) >= turn)
-    air = median_filter(air, 2 * SMOOTHED - 1, mode="nearest")
-    surface, least = tool_mm.copy(), LEAST_BACK * float(np.abs(tool_mm).max())
-    for (run,) in find_objects(label(air)[0]):
-        ends = np.array([max(run.start - 1, 0), min(run.stop, tool_mm.size - 1)])
-        ends_mm = tool_mm[[ends[0], ends[0] if run.stop == tool_mm.size else ends[1]]]
-        ln_mm = np.interp(time_s[run], time_s[ends], np.log(np.maximum(ends_mm, least)))
-        surface[run] = np.maximum(np.exp(ln_mm), tool_mm[run])
-    return surface, ~air
+    def response(self, time_s: FloatArray, tool_mm: FloatArray, path_mm: FloatArray) -> SurfaceResponse:
+        """Response of that depth to the law."""
 
 
 def _crossed(time_s: FloatArray, depth_mm: FloatArray, *, exact: bool) -> float:
@@ -207,12 +140,15 @@ def fitted_log(
     if (contact := segmentation.contact) is None:
         return None
     depth, force = contact_frame(trial, segmentation)
-    first, begins = contact.index, _first_of_test(segmentation)
-    turn = first_turn(segmentation, depth, first)
-    last = max(usable_until(segmentation, depth.size), turn) if whole else turn
+    first, begins = contact.index, first_of_test(segmentation)
+    loadings = loadings_of(segmentation, trial.time_s, depth, first)
+    turn = loadings[0].stop
+    last = max(usable_until(segmentation, depth.size), turn) if whole else loadings[-1].stop
     time, x, f = trial.time_s[first:last], depth[first:last], force[first:last]
     limits = [flag.values["force_N"] for flag in trial.flags if flag.code == "clipped_force"]
     include = (np.arange(first, last) >= begins) & ~np.isin(trial.force_N[first:last], limits)
+    for one, other in pairwise(() if whole else loadings):
+        include[one.stop - first : other.start - first] = False
     if (contact.in_record or guard) and begins <= first:
         include &= x >= GUARD_SD * contact.sd_mm
     exact = trial.protocol.kind == RENDERED
@@ -221,13 +157,16 @@ def fitted_log(
         start = _crossed(trial.time_s[first - 1 : first + 1], depth[first - 1 : first + 1], exact=exact)
         time, x, f = np.append(start, time), np.append(0.0, x), np.append(0.0, f)
         include = np.append(False, include)
-    tool, ahead = None, first - int(inserted)
-    if whole or begins > first:
+    tool, response, ahead = None, None, first - int(inserted)
+    if whole or begins > first or len(loadings) > 1:
         # a tool that lets go leaves a surface behind, which comes back, and which the states follow
         turned = min([turn, *(one.peak for one in segmentation.phases if one.peak is not None)]) - ahead
-        by_force = partial(_measured_surface, force_N=f, turn=turned, noise_N=segmentation.force_noise_N)
+        by_force = partial(measured_surface, force_N=f, turn=turned, noise_N=segmentation.force_noise_N)
         path, touching = (by_force if surface is None else surface.follow)(time, x)
         tool = x if whole or not touching.all() else None
+        if surface is not None and not whole and contact.moved_mm == 0.0:
+            # nobody knows how far tissue that is met elsewhere has set; in unloading, samples come and go
+            response = surface.response(time, x, path)
         x, include = path, include & touching
     steps = np.diff(time[int(inserted) :])
     positive = steps[steps > 0.0]
@@ -236,8 +175,10 @@ def fitted_log(
         return None
     inside = [one for one in segmentation.phases if max(first, begins) < one.stop and one.start < last - 1]
     speeds = tuple(phase.speed_mm_s for phase in inside if phase.kind == "ramp")
+    if len(loadings) > 1:
+        speeds = tuple(loading_speed(trial.time_s, depth, one) for one in loadings)
     folds, breaks = np.zeros(time.size, dtype=np.int64), chain_breaks(time)
-    data = LogData(time, x, f, include, folds, breaks=breaks, exact=exact)
+    data = LogData(time, x, f, include, folds, breaks=breaks, exact=exact, response=response)
     return FittedLog(
         data=data,
         first=first,
@@ -245,10 +186,11 @@ def fitted_log(
         contact_sd_mm=contact.first_sd_mm,
         depth_mm=depth_mm,
         step_s=float(np.median(positive)),
-        speeds_mm_s=speeds or (_mean_speed(time, x[: max(turn - first, 2)]),),
+        speeds_mm_s=speeds or (mean_speed(time, x[: max(turn - first, 2)]),),
         has_hold=any(phase.kind in ("hold", "creep") for phase in inside),
         n_samples=int(include.sum()),
         tool_mm=tool,
+        loadings=len(loadings),
     )
 
 
@@ -260,12 +202,6 @@ def with_holds_cut(log: FittedLog, holds: Sequence[Phase], share: float) -> Fitt
         end = hold.start_s + share * (hold.end_s - hold.start_s)
         include &= (time <= end) | (time > hold.end_s)
     return replace(log, data=replace(log.data, include=include), n_samples=int(include.sum()))
-
-
-def _mean_speed(time_s: FloatArray, depth_mm: FloatArray) -> float:
-    peak = int(np.argmax(depth_mm))
-    span = float(time_s[peak] - time_s[0])
-    return float((depth_mm[peak] - depth_mm[0]) / span) if span > 0.0 else 0.0
 
 
 def assign_folds(log: FittedLog, holds: tuple[Phase, ...]) -> LogData:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Sequence
-from itertools import pairwise
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.arrays import FloatArray, evenly
+from tissueid.arrays import FloatArray, evenly, kept_samples
 from tissueid.documents.identification import Specimen, Trial
 from tissueid.report.uncertainty_words import reported_order
 from tissueid.report.wording import trial_label, unit_words
@@ -23,7 +22,6 @@ from tissueid.store.posteriors import StoredPosterior
 _BYTES_OF_ONE, _BYTES_OF_MANY = 3_300_000, 900_000
 _SAMPLE_BYTES, _BANDED_BYTES = 23, 33
 _FEWEST_A_TRIAL = 40
-_KEPT_A_BUCKET = 4
 #: Steps of a column that is packed in 16 bits.
 _STEPS = 65_535
 
@@ -36,24 +34,6 @@ def curve_bytes(specimens: int) -> int:
 def thinned(curve: Curve, most: int) -> NDArray[np.intp]:
     """Indices of at most so many samples (6 or more) that keep the extremes of force and of residual."""
     return kept_samples((curve.force_N, curve.force_N - curve.model_N), most, most - 2)
-
-
-def kept_samples(
-    channels: Sequence[FloatArray], most: int, share: int, fixed: Iterable[int] = ()
-) -> NDArray[np.intp]:
-    """Ascending indices that keep the shape: in every stretch the extremes of each channel; ends; ``fixed``.
-
-    ``most``: samples up to which all are kept; ``share``: samples that stretches are made for.
-    """
-    size = channels[0].size
-    if size <= most:
-        return np.arange(size)
-    edges = np.linspace(0, size, max(share // _KEPT_A_BUCKET, 1) + 1).astype(int)
-    keep = {0, size - 1, *fixed}
-    for start, stop in pairwise(edges.tolist()):
-        for values in (channel[start:stop] for channel in channels):
-            keep.update((start + int(values.argmin()), start + int(values.argmax())))
-    return np.array(sorted(keep), dtype=np.intp)
 
 
 def packed(values: NDArray[Any], kind: str = "<f4") -> str:

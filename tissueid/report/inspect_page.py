@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, kept_samples
 from tissueid.digits import number
 from tissueid.documents.inspect import Phase
 from tissueid.documents.inspect import Trial as TrialDocument
 from tissueid.flags import flag_level
-from tissueid.report.figures import kept_samples, packed
+from tissueid.report.figures import packed
 from tissueid.report.inspect_decisions import Decision, decisions
 from tissueid.report.page import render_page
 from tissueid.report.wording import LEVELS, trial_label, whole_label

@@ -309,12 +309,15 @@ def _test_phase(path: Path, phases: tuple[Phase, ...], surface: Surface) -> int:
     last = max((k for k, phase in enumerate(phases) if phase.kind == "cycle"), default=-1)
     if last < 0:
         return 0
-    before = max(float(path.depth_mm[phase.peak]) for phase in phases if phase.peak is not None)
+    peaks = [float(path.depth_mm[phase.peak]) for phase in phases if phase.peak is not None]
+    looped = max(peaks) - surface.depth_mm
+    # a standstill where the last loop ended is its recovery
+    ended = float(path.depth_mm[phases[last].stop - 1]) - surface.depth_mm
     for phase in phases[last + 1 :]:
-        if phase.kind in ("hold", "creep"):
-            return last + 1
         deep = float(path.depth_mm[phase.stop - 1]) - surface.depth_mm
-        if phase.kind == "ramp" and deep > DEEPER * (before - surface.depth_mm):
+        if phase.kind in ("hold", "creep") and deep > ended + (DEEPER - 1.0) * looped:
+            return last + 1
+        if phase.kind == "ramp" and deep > DEEPER * looped:
             return last + 1
     return 0
 
