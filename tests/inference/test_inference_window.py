@@ -366,6 +366,7 @@ def test_loadings_of_several_speeds_or_held_depths_are_fitted_together(plan, cou
     trial = loadings(**plan)
     log = fitted_log(trial, segment(trial))
     assert log.loadings == count
+    assert not {"preconditioned", "not_preconditioned"} & {flag.code for flag in segment(trial).flags}
     turned = np.diff(log.tool_mm if log.tool_mm is not None else log.data.depth_mm) < -1e-9
     assert not log.data.include[1:][turned].any()
     found = identify([trial]).specimens[0]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.measured.pushes import usable_until
-from tissueid.trial import Segmentation
+from tissueid.trial import SEVERAL_SPEEDS, Segmentation
 
 #: Measured force, over the peak and in standard deviations of its noise, below which the tool is in air.
 AIR_SHARE, AIR_SD = 0.01, 3.0
@@ -15,8 +15,8 @@ AIR_SHARE, AIR_SD = 0.01, 3.0
 SMOOTHED = 5
 #: Depth, over the largest, that a surface is back at.
 LEAST_BACK = 1e-3
-#: Depth over the largest from which a loading tells a speed; ratio from which speeds are several.
-LEAST_LOADING, SEVERAL = 0.1, 1.5
+#: Depth over the largest from which a loading tells a speed.
+LEAST_LOADING = 0.1
 #: Ratio of depths below which held loadings are of one.
 ONE_DEPTH = 1.2
 
@@ -65,7 +65,7 @@ def _several(
     speeds = [loading_speed(time_s, depth, one) for one in real]
     first, last = loadings[0].stop, loadings[-1].stop
     held = any(first < hold.start < last for hold in segmentation.of_kind("hold"))
-    return max(speeds) > SEVERAL * min(speeds) or (held and bool(deep.max() > ONE_DEPTH * deep[0]))
+    return max(speeds) > SEVERAL_SPEEDS * min(speeds) or (held and bool(deep.max() > ONE_DEPTH * deep[0]))
 
 
 def loadings_of(segmentation: Segmentation, time_s: FloatArray, depth: FloatArray, first: int) -> list[slice]:

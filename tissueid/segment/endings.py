@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tissueid.flags import Flag
 from tissueid.segment.motion import Path, Piece, corner_near, corners, slope_of
 from tissueid.signal_noise import running_median
-from tissueid.trial import Event, Phase, Protocol
+from tissueid.trial import SEVERAL_SPEEDS, Event, Phase, Protocol
 
 #: Change from loop to loop below which tissue is preconditioned.
 PRECONDITIONED_CHANGE = 0.02
@@ -29,6 +29,7 @@ class Loop:
     peak_mm: float
     peak_N: float
     work_N_mm: float  # work lost in the loop, over the depths that all loops cover
+    speed_mm_s: float  # mean
 
 
 def loops_of(path: Path, phases: tuple[Phase, ...]) -> tuple[Loop, ...]:
@@ -47,6 +48,7 @@ def loops_of(path: Path, phases: tuple[Phase, ...]) -> tuple[Loop, ...]:
             float(peak),
             _force_at(path, phase, float(peak) if common is None else common),
             _work(path, phase, bottom),
+            phase.speed_mm_s,
         )
         for phase, peak in zip(cycles, peaks, strict=True)
     )
@@ -76,8 +78,9 @@ def cycle_flags(loops: tuple[Loop, ...], *, before_test: bool, baseline_N: float
     count = len(loops)
     flags = [Flag("cyclic", f"{count} load-unload loops", {"loops": count})]
     last = loops[-LAST_LOOPS:]
-    if len(last) < 2:
-        return flags
+    speeds = [loop.speed_mm_s for loop in last]
+    if len(last) < 2 or max(speeds) > SEVERAL_SPEEDS * min(speeds):
+        return flags  # loops of several speeds differ as they should
     force = _change([loop.peak_N - baseline_N for loop in last])
     work = _change([loop.work_N_mm for loop in last])
     depth = float(np.ptp([loop.peak_mm for loop in last]))
