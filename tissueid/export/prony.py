@@ -12,7 +12,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.errors import UsageError
+from tissueid.errors import UsageError, refuse
 from tissueid.model.base import MOST_BRANCHES
 from tissueid.model.servo_law import SPEED, ServoLaw, servo_law
 from tissueid.store.bundle import Bundle
@@ -44,11 +44,10 @@ def carried_law(bundle: Bundle, most: int = MOST_BRANCHES) -> ServoLaw:
     bundle.require_renderable()
     law = servo_law(bundle.contact_model(), bundle.theta, most)
     if law.followed == SPEED:
-        msg = (
+        refuse(
             f"{bundle.specimen}: {bundle.model.name!r} follows the speed over that at contact, which none of "
             f"the {most} terms of this format can; export its parameters by --format mat or json"
         )
-        raise UsageError(msg)
     return law
 
 
@@ -70,11 +69,10 @@ def linearised(bundle: Bundle, depth_mm: float | None = None, *, most: int = MOS
         raise UsageError(msg)
     tangent = float(model.static_slope(bundle.theta, np.array([depth]))[0])
     if not tangent > 0.0:
-        msg = (
+        refuse(
             f"{bundle.specimen}: at {depth:g} mm the static force does not rise ({tangent:.3g} N/mm), which "
             "no Prony series can say; give another --depth"
         )
-        raise UsageError(msg)
     branches = law.linearised(model, bundle.theta, np.array([depth]))[0][:, 0]
     return Prony(bundle.specimen, depth, tangent, branches, np.asarray(law.tau_s), law.error)
 

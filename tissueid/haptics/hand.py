@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.errors import UsageError, printable
+from tissueid.errors import printable, refuse
 from tissueid.haptics import shared_hand as layout
 
 #: Names of :func:`preset`.
@@ -132,8 +132,7 @@ def preset(
     half the critical one of 0.25 kg where none is given.  Raises UsageError: there is no preset of that name.
     """
     if name not in PRESETS:
-        msg = f"there is no hand {printable(name)!r}; hands are {', '.join(PRESETS)}"
-        raise UsageError(msg)
+        refuse(f"there is no hand {printable(name)!r}; hands are {', '.join(PRESETS)}")
     times, depths, grips = _targets(name, depth_m, speed_m_per_s, rest_s, stay_s)
     if damping_N_s_per_m is None:
         damping_N_s_per_m = 2.0 * DAMPING_RATIO * math.sqrt(stiffness_N_per_m * DEFAULT_MASS_KG)
@@ -204,26 +203,22 @@ def parse_script(text: str) -> tuple[Stroke, ...]:
             target = -SCRIPT_CLEARANCE_MM if found[1] is None else float(found[1])
             speed = float(found[2]) / (S_PER_MIN if found[3] == "min" else 1.0)
             if not 0.0 < speed <= MOST_SPEED_MM_S:
-                msg = f"speed of {line!r} is {speed:g} mm/s, above 0 to {MOST_SPEED_MM_S:g} is offered"
-                raise UsageError(msg)
+                refuse(f"speed of {line!r} is {speed:g} mm/s, above 0 to {MOST_SPEED_MM_S:g} is offered")
             way = target - depth if kind == "indent" else depth - target
             if way <= 0.0:
                 where = "deeper" if kind == "indent" else "back"
-                msg = f"{line!r} does not go {where}: the tool is at {depth:g} mm there"
-                raise UsageError(msg)
+                refuse(f"{line!r} does not go {where}: the tool is at {depth:g} mm there")
             strokes.append(Stroke(kind, target, way / speed))
         elif (found := _HOLD.fullmatch(line)) is not None and 0.0 < float(found[1]) <= MOST_HOLD_S:
             strokes.append(Stroke("hold", depth, float(found[1])))
         else:
-            msg = (
+            refuse(
                 f"{printable(line)!r} is no stroke of a script; write e.g. "
                 "'indent 8 mm at 250 mm/min; hold 2 s; retract at 250 mm/min'"
             )
-            raise UsageError(msg)
         depth = strokes[-1].depth_mm
     if not 1 <= len(strokes) <= MOST_STROKES:
-        msg = f"a script has 1 to {MOST_STROKES} strokes, this one {len(strokes)}"
-        raise UsageError(msg)
+        refuse(f"a script has 1 to {MOST_STROKES} strokes, this one {len(strokes)}")
     return tuple(strokes)
 
 

@@ -9,7 +9,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tissueid.errors import DeviceError, UsageError
+from tissueid.errors import DeviceError, UsageError, refuse
 from tissueid.haptics.device import AskedDevice, Capabilities, DetectedDevice, HapticDevice
 
 #: Entry-point groups of other distributions.
@@ -83,8 +83,7 @@ def device_class(name: str) -> type[HapticDevice]:
     else:
         entry = _plugins(DEVICE_GROUP).get(name)
         if entry is None:
-            msg = f"no device named {name!r}; there are {', '.join(device_names())} and {AUTO}"
-            raise UsageError(msg)
+            refuse(f"no device named {name!r}; there are {', '.join(device_names())} and {AUTO}")
         found = _loaded("device", name, entry.load)
     if not (isinstance(found, type) and issubclass(found, HapticDevice)):
         msg = f"device {name!r}: its entry point is no subclass of tissueid.haptics.device.HapticDevice"
@@ -107,8 +106,7 @@ def configured(name: str, asked: AskedDevice) -> dict[str, Any]:
             continue
         owners = owners_of(strange)
         way = f"add --device {owners[0]}" if name == AUTO else f"the device is {name}"
-        msg = f"--{strange} belongs to {' and '.join(owners)}: {way}"
-        raise UsageError(msg)
+        refuse(f"--{strange} belongs to {' and '.join(owners)}: {way}")
     return {} if name == AUTO else device_class(name).configured(asked)
 
 

@@ -12,7 +12,7 @@ from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
-from tissueid.errors import InputError, UsageError, printable
+from tissueid.errors import InputError, printable, refuse
 from tissueid.ingest.archive import PROSE_SUFFIXES, recordings_in
 from tissueid.ingest.archive import SUFFIXES as IN_ARCHIVES
 from tissueid.ingest.layout import find_layout
@@ -75,8 +75,7 @@ def each_input(paths: Iterable[str | Path]) -> Iterator[Path | InputError]:
         elif url is not None or path.exists():
             files = iter([path])
         else:
-            msg = f"{printable(str(path))}: there is no such file or directory"
-            raise UsageError(msg)
+            refuse(f"{printable(str(path))}: there is no such file or directory")
         for file in files:
             if isinstance(file, InputError):
                 yield file

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any, NoReturn
 
-from tissueid.errors import UsageError, printable
+from tissueid.errors import UsageError, printable, refuse
 from tissueid.ingest.markup import holds_rows
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, MARKUP, foreign_kind, refuse_foreign
@@ -77,8 +77,7 @@ def remote_files(url: str) -> Iterator[Path] | None:
     except _UNREACHED as error:
         raise _unreached(url, error) from error
     if not there:
-        msg = f"{printable(url)}: there is no such file or directory"
-        raise UsageError(msg)
+        refuse(f"{printable(url)}: there is no such file or directory")
     return _below(system, path)
 
 

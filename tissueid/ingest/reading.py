@@ -17,7 +17,7 @@ from types import MappingProxyType
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.errors import InputError, UsageError
+from tissueid.errors import InputError, refuse
 from tissueid.extras import faults_of
 from tissueid.flags import Flag
 from tissueid.ingest.archive import archive_recipe
@@ -120,8 +120,7 @@ def known_recipe(key: str) -> Recipe:
     """The recipe of a name; UsageError with all of them where there is none."""
     recipes = _recipes()
     if key not in recipes:
-        msg = f"unknown recipe {key!r}, one of {', '.join(recipes)}"
-        raise UsageError(msg)
+        refuse(f"unknown recipe {key!r}, one of {', '.join(recipes)}")
     return recipes[key]
 
 

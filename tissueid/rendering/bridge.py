@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.errors import UsageError, printable
+from tissueid.errors import UsageError, printable, refuse
 from tissueid.haptics.states import Lamp, State
 from tissueid.rendering.tissue_block import Plane
 
@@ -65,8 +65,7 @@ def parse_address(text: str) -> tuple[str, int]:
     """Read ``HOST:PORT`` or ``PORT``, then on loopback; UsageError without a port between 1 and 65535."""
     host, _, port = text.rpartition(":")
     if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
-        msg = f"--bridge {printable(text)!r}: give a port, or HOST:PORT, e.g. 5005"
-        raise UsageError(msg)
+        refuse(f"--bridge {printable(text)!r}: give a port, or HOST:PORT, e.g. 5005")
     return host or LOOPBACK, int(port)
 
 

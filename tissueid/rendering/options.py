@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.errors import UsageError, printable
+from tissueid.errors import printable, refuse
 from tissueid.haptics.hand import NUMBER, S_PER_MIN, SPEED, Hand
 from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.kelvin_voigt import kelvin_voigt
@@ -107,8 +107,7 @@ PRESETS: Mapping[str, Callable[[], Tissue]] = MappingProxyType({"paper-a": _pape
 def preset_tissue(name: str) -> Tissue:
     """The tissue of that name; UsageError where there is none."""
     if name not in PRESETS:
-        msg = f"there is no preset {printable(name)!r}; presets are {', '.join(PRESETS)}"
-        raise UsageError(msg)
+        refuse(f"there is no preset {printable(name)!r}; presets are {', '.join(PRESETS)}")
     return PRESETS[name]()
 
 
@@ -149,12 +148,10 @@ def parse_functional(text: str) -> Functional:
     """Read what ``--of`` says; UsageError for anything else, or no depth or speed."""
     found = _FUNCTIONAL.fullmatch(" ".join(text.split()))
     if found is None:
-        msg = f"--of {printable(text)!r} is not understood; write e.g. {DEFAULT_FUNCTIONAL!r}"
-        raise UsageError(msg)
+        refuse(f"--of {printable(text)!r} is not understood; write e.g. {DEFAULT_FUNCTIONAL!r}")
     depth, speed = float(found[1]), float(found[2])
     if not (depth > 0.0 and speed > 0.0):
-        msg = f"--of {printable(text)!r}: depth and speed must be above 0"
-        raise UsageError(msg)
+        refuse(f"--of {printable(text)!r}: depth and speed must be above 0")
     return Functional(depth, speed / (S_PER_MIN if found[3] == "min" else 1.0))
 
 
@@ -177,23 +174,20 @@ def pick_draw(bundle: Bundle, number: int) -> Picked:
     """Posterior draw by its number, counted from 0; UsageError where there is none."""
     draws = _draws(bundle, "--draw")
     if not 0 <= number < len(draws):
-        msg = f"--draw {number}: the bundle has draws 0 to {len(draws) - 1}"
-        raise UsageError(msg)
+        refuse(f"--draw {number}: the bundle has draws 0 to {len(draws) - 1}")
     return Picked(as_tissue(bundle, draws[number]), number, f"posterior draw {number} of {len(draws)}")
 
 
 def pick_specimen(bundle: Bundle, seed: str) -> Picked:
     """One specimen drawn from a population's bundle, by a seed or :data:`NEW_SPECIMEN`; else UsageError."""
     if not bundle.is_population:
-        msg = (
+        refuse(
             f"--draw-specimen: the bundle of {bundle.specimen} holds one specimen; `tissueid cohort OUT` "
             "writes population.h5, and --draw chooses among what is known of one"
         )
-        raise UsageError(msg)
     draws = _draws(bundle, "--draw-specimen")
     if seed != NEW_SPECIMEN and not (seed.isascii() and seed.isdigit()):
-        msg = f"--draw-specimen {printable(seed)!r}: the seed is a whole number, or nothing for a new one"
-        raise UsageError(msg)
+        refuse(f"--draw-specimen {printable(seed)!r}: the seed is a whole number, or nothing for a new one")
     known = int(np.random.SeedSequence().generate_state(1)[0]) if seed == NEW_SPECIMEN else int(seed)
     number = int(np.random.default_rng(known).integers(len(draws)))
     why = f"specimen {number} of {len(draws)} drawn from the {bundle.specimen} (--draw-specimen {known})"
@@ -203,11 +197,9 @@ def pick_specimen(bundle: Bundle, seed: str) -> Picked:
 def pick_quantile(bundle: Bundle, quantile: float, functional: Functional) -> Picked:
     """The draw whose functional is nearest to its quantile; UsageError beyond the identified depth."""
     if not 0.0 <= quantile <= 1.0:
-        msg = f"--quantile is {quantile:g}, must lie within 0 and 1"
-        raise UsageError(msg)
+        refuse(f"--quantile is {quantile:g}, must lie within 0 and 1")
     if functional.depth_mm > bundle.depth_mm:
-        msg = f"--of {str(functional)!r} is deeper than the {bundle.depth_mm:.3g} mm that were identified"
-        raise UsageError(msg)
+        refuse(f"--of {str(functional)!r} is deeper than the {bundle.depth_mm:.3g} mm that were identified")
     draws = _draws(bundle, "--quantile")
     fitted = as_tissue(bundle)
     values = np.array([functional.of(fitted.model, draw) for draw in draws])
@@ -232,6 +224,5 @@ def noticeable_ratio(
 
 def _draws(bundle: Bundle, option: str) -> FloatArray:
     if bundle.draws is None or not len(bundle.draws):
-        msg = f"{option}: the bundle of {bundle.specimen} holds no posterior draws; fit it with a sampler"
-        raise UsageError(msg)
+        refuse(f"{option}: the bundle of {bundle.specimen} holds no posterior draws; fit it with a sampler")
     return bundle.draws

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.errors import UsageError
+from tissueid.errors import refuse
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.hand import MM, MOST_HOLD_S, MOST_STROKES, S_PER_MIN, Hand
 from tissueid.haptics.limits import GuardLimits
@@ -81,8 +81,7 @@ class _Asked(NamedTuple):
 def plan_session(options: RenderOptions) -> SessionPlan:
     """Decide everything, or refuse with the way out: UsageError, BundleError, DeviceError."""
     if options.seconds is not None and not 0.0 < options.seconds < math.inf:
-        msg = f"--seconds is {options.seconds:g}, must be above 0 and finite"
-        raise UsageError(msg)
+        refuse(f"--seconds is {options.seconds:g}, must be above 0 and finite")
     guided = options.scene is not None and options.scene.guidance is not None
     if guided or options.environment is not None:
         _must_be_alone(options)
@@ -155,12 +154,10 @@ def _tissues(
 ) -> tuple[tuple[Picked, ...], tuple[str | None, ...]]:
     """The tissue, and the one it is compared with; the content hashes of their bundles."""
     if (options.bundle is None) == (options.preset is None):
-        msg = "give a bundle, or --preset, and not both: tissueid render bundle.h5"
-        raise UsageError(msg)
+        refuse("give a bundle, or --preset, and not both: tissueid render bundle.h5")
     if options.preset is not None:
         if (options.draw, options.quantile, options.draw_specimen) != (None, None, None):
-            msg = "--draw, --quantile and --draw-specimen choose among a bundle's draws; a preset has none"
-            raise UsageError(msg)
+            refuse("--draw, --quantile and --draw-specimen choose among a bundle's draws; a preset has none")
         first = Picked(preset_tissue(options.preset), None, f"preset {options.preset}")
         bundle = None
     else:
@@ -172,8 +169,7 @@ def _tissues(
         return (first,), (_digest(options.bundle),)
     other = bundle if options.against is None else load_bundle(options.against)
     if other is None:
-        msg = "--against-draw and --against-quantile choose from a bundle; give one, or --against BUNDLE"
-        raise UsageError(msg)
+        refuse("--against-draw and --against-quantile choose from a bundle; give one, or --against BUNDLE")
     second = _pick(other, options.against_draw, options.against_quantile, functional)
     return (first, second), (_digest(options.bundle), _digest(options.against or options.bundle))
 
@@ -186,8 +182,7 @@ def _pick(
     specimen: str | None = None,
 ) -> Picked:
     if [draw, quantile, specimen].count(None) < 2:
-        msg = "give one of --draw, --quantile and --draw-specimen"
-        raise UsageError(msg)
+        refuse("give one of --draw, --quantile and --draw-specimen")
     if specimen is not None:
         return pick_specimen(bundle, specimen)
     if draw is not None:
@@ -253,8 +248,7 @@ def _replayed(options: RenderOptions) -> tuple[RenderOptions, tuple[Surface, flo
     log = read_session_log(options.replay)
     scale, times = log.head["scale"], log.records["time_s"]
     if scale is None or times.size < 2:
-        msg = f"{options.replay}: the log of a force law of its own, or an empty one, can't be replayed"
-        raise UsageError(msg)
+        refuse(f"{options.replay}: the log of a force law of its own, or an empty one, can't be replayed")
     numbers = np.array(log.head["surface"])
     options = replace(
         options,
@@ -271,12 +265,10 @@ def _must_fit(asked: _Asked, script: Script | None) -> None:
     simulated = name == SIMULATED
     if script is not None and not simulated:
         way_out = "add --device sim" if options.replay is None else "leave --script or --replay out"
-        msg = f"--script moves a simulated grip, and the device is {name}; {way_out}"
-        raise UsageError(msg)
+        refuse(f"--script moves a simulated grip, and the device is {name}; {way_out}")
     led_by_nobody = script is None and options.program is None
     if options.virtual and (not simulated or led_by_nobody):
-        msg = "--virtual runs a script on the simulated device faster than time; add --device sim --script"
-        raise UsageError(msg)
+        refuse("--virtual runs a script on the simulated device faster than time; add --device sim --script")
 
 
 def _scaled(
@@ -303,8 +295,7 @@ def _scaled(
 def _order(options: RenderOptions, picked: tuple[Picked, ...]) -> BlindOrder | None:
     if not options.blind:
         if options.presentations is not None or options.pseudonym is not None:
-            msg = "--presentations and --pseudonym belong to --blind"
-            raise UsageError(msg)
+            refuse("--presentations and --pseudonym belong to --blind")
         return None
     count = DEFAULT_PRESENTATIONS if options.presentations is None else options.presentations
     pseudonym = check_pseudonym(options.pseudonym)
@@ -365,10 +356,9 @@ def _must_be_alone(options: RenderOptions) -> None:
     given = (options.bundle, options.preset, options.script, options.replay)
     if options.blind or any(one is not None for one in given):
         word = "--environment" if options.environment is not None else "a scene with guidance"
-        msg = (
+        refuse(
             f"{word} takes the place of a tissue: leave bundle, --preset, --blind, --replay and --script out"
         )
-        raise UsageError(msg)
     if options.environment is not None:
         environment_law(options.environment)
 

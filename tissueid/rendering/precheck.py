@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.errors import DeviceError, UsageError
+from tissueid.errors import DeviceError, refuse
 from tissueid.haptics.device import Capabilities
 from tissueid.model.channels import loading_force
 from tissueid.model.passivity import (
@@ -190,8 +190,7 @@ def check_before_force(
 
 def _must_lie(name: str, value: float, allowed: tuple[float, float]) -> None:
     if not allowed[0] <= value <= allowed[1]:
-        msg = f"{name} is {value:g}, must lie within {allowed[0]:g} and {allowed[1]:g}"
-        raise UsageError(msg)
+        refuse(f"{name} is {value:g}, must lie within {allowed[0]:g} and {allowed[1]:g}")
 
 
 def _affordable(tissue: Tissue, wanted: Scaling, need: float, demands: Demands, *, asked: bool) -> Scaling:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray, RecordArray
-from tissueid.errors import UsageError
+from tissueid.errors import UsageError, refuse
 from tissueid.haptics.ring import RECORD
 from tissueid.haptics.states import FAULT_WORDS, Fault, Lamp, State
 from tissueid.rendering.servo import DEGRADED_SHARE
@@ -34,8 +34,7 @@ class Recorder:
         #: Why the recording ended before the session; None while it runs.
         self.stopped: str | None = None
         if path.exists():
-            msg = f"{path}: exists already; recordings are not overwritten, choose another name"
-            raise UsageError(msg)
+            refuse(f"{path}: exists already; recordings are not overwritten, choose another name")
         try:
             # no buffer: what was written survives this process
             self._stream = self.part.open("xb", buffering=0)
@@ -51,8 +50,7 @@ class Recorder:
         if not self._write(raw_head(head, RECORD)):
             self._close()
             self.part.unlink(missing_ok=True)
-            msg = f"{self.stopped}; choose another place for the log"
-            raise UsageError(msg)
+            refuse(f"{self.stopped}; choose another place for the log")
 
     def append(self, records: NDArray[Any]) -> None:
         """Append records; after a failure to write nothing more is tried."""

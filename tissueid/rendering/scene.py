@@ -10,7 +10,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from tissueid.errors import UsageError, printable
+from tissueid.errors import UsageError, printable, refuse
 from tissueid.haptics.hand import MM
 from tissueid.model.channels import DampedModel
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
@@ -60,18 +60,15 @@ def load_scene(given: str, *, plan: Path | None = None) -> Scene:
     file = _SCENES / f"{given}.toml" if given in scene_names() else Path(given)
     if not file.is_file():
         known = ", ".join(scene_names())
-        msg = f"--scene {printable(given)!r} is no file, and scenes that come along are {known}"
-        raise UsageError(msg)
+        refuse(f"--scene {printable(given)!r} is no file, and scenes that come along are {known}")
     document, folder = _document(file, given), Path(given).parent
     if plan is not None:
         if "guidance" not in document:
-            msg = f"--plan is an axis to be guided along, and scene {printable(given)!r} has no guidance"
-            raise UsageError(msg)
+            refuse(f"--plan is an axis to be guided along, and scene {printable(given)!r} has no guidance")
         document["plan"] = _document(plan, str(plan))
     problem = first_problem(document, "scene")
     if problem is not None:
-        msg = f"scene {printable(given)!r}, {problem}"
-        raise UsageError(msg)
+        refuse(f"scene {printable(given)!r}, {problem}")
     tissue = document.get("tissue", {})
     if "bundle" in tissue:
         tissue["bundle"] = folder / tissue["bundle"]
@@ -101,12 +98,10 @@ def _law(path: Path) -> dict[str, Any]:
     bundle = load_bundle(path)
     model = bundle.contact_model()
     if not isinstance(model, DampedModel) or [one.spec.name for one in model.static.shapes] != [EXPONENT]:
-        msg = f"{printable(str(path))} is of {bundle.model.name!r}; a wall takes a 'power * impact' fit"
-        raise UsageError(msg)
+        refuse(f"{printable(str(path))} is of {bundle.model.name!r}; a wall takes a 'power * impact' fit")
     unknown = [one.symbol for one in bundle.parameters if one.value is None]
     if unknown:
-        msg = f"{printable(str(path))}: {', '.join(unknown)} not identified; there is no law to be felt"
-        raise UsageError(msg)
+        refuse(f"{printable(str(path))}: {', '.join(unknown)} not identified; there is no law to be felt")
     stiffness, exponent, restitution = bundle.theta.tolist()
     return {
         "stiffness_N_per_m_n": stiffness * MM**-exponent,

@@ -17,7 +17,7 @@ import numpy as np
 from tissueid import __version__
 from tissueid.arrays import FloatArray
 from tissueid.documents import plain
-from tissueid.errors import UsageError, printable
+from tissueid.errors import UsageError, printable, refuse
 from tissueid.haptics.device import Capabilities
 from tissueid.haptics.hand import Hand, Stroke, parse_script, scripted_hand
 from tissueid.rendering.options import Picked
@@ -57,24 +57,21 @@ def check_pseudonym(text: str | None) -> str:
     if text is None:
         return f"P{secrets.randbelow(90000) + 10000}"
     if _PSEUDONYM.fullmatch(text) is None:
-        msg = f"--pseudonym {printable(text)!r} could be a name; use letters and a number as in P17"
-        raise UsageError(msg)
+        refuse(f"--pseudonym {printable(text)!r} could be a name; use letters and a number as in P17")
     return text
 
 
 def draw_order(count: int, presentations: int, *, pseudonym: str, seed: int | None = None) -> BlindOrder:
     """A random order in which every tissue comes equally often; UsageError where it can't be balanced."""
     if count < 2:
-        msg = (
+        refuse(
             "--blind compares tissues: give a second one with --against, --against-draw or --against-quantile"
         )
-        raise UsageError(msg)
     if not (count <= presentations <= MOST_PRESENTATIONS and presentations % count == 0):
-        msg = (
+        refuse(
             f"--presentations is {presentations}: {count} tissues come equally often, so it must be a "
             f"multiple of {count}, at most {MOST_PRESENTATIONS}"
         )
-        raise UsageError(msg)
     seed = secrets.randbits(63) if seed is None else seed
     order = np.random.default_rng(seed).permutation(np.repeat(np.arange(count), presentations // count))
     return BlindOrder(pseudonym, tuple(int(value) for value in order), seed)
@@ -142,11 +139,10 @@ def read_script(text: str) -> Script:
             done += 1
             continue
         if done and strokes[done - 1].depth_mm >= 0.0:
-            msg = (
+            refuse(
                 f"script: 'switch' after {stroke_texts[done - 1]!r} would change the tissue under the tool; "
                 "retract first"
             )
-            raise UsageError(msg)
         switches.append(float(ends[done - 1]) if done else 0.5 * REST_S)
     return Script(text, "; ".join(stroke_texts), strokes, tuple(switches), float(ends[-1]) + TAIL_S)
 

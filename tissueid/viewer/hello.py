@@ -17,7 +17,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.documents import plain
 from tissueid.documents.identification import TipGeometry
-from tissueid.errors import BundleError, UsageError
+from tissueid.errors import BundleError, refuse
 from tissueid.haptics.sim import CENTRE_M, WORKING_RADIUS_M
 from tissueid.haptics.states import FAULT_WORDS, Lamp, State
 from tissueid.model.channels import loading_force
@@ -364,8 +364,7 @@ def recording_beside(log: SessionLog, path: Path) -> dict[str, list[float]]:
     inside = np.flatnonzero(log.records["depth_mm"] > 0.0)
     if found.contact is None or not inside.size:
         whose = path if found.contact is None else "the log"
-        msg = f"{whose}: there is no contact in it, by which the two could be laid beside each other"
-        raise UsageError(msg)
+        refuse(f"{whose}: there is no contact in it, by which the two could be laid beside each other")
     depth, force = contact_frame(trial, found)
     met_s = float(log.records["time_s"][inside[0]])
     time_s = trial.time_s - trial.time_s[found.contact.index] + met_s

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
-from tissueid.errors import UsageError, printable
+from tissueid.errors import UsageError, printable, refuse
 from tissueid.own_process import own_process
 from tissueid.viewer.security import LOOPBACK, Access, is_loopback, new_token
 
@@ -40,12 +40,10 @@ class ViewerOptions:
 
     def __post_init__(self) -> None:
         if (self.certificate is None) != (self.key is None):
-            msg = "TLS needs two files: --certificate FILE and --certificate-key FILE"
-            raise UsageError(msg)
+            refuse("TLS needs two files: --certificate FILE and --certificate-key FILE")
         for file in (self.certificate, self.key):
             if file is not None and not file.is_file():
-                msg = f"{printable(str(file))}: there is no such file"
-                raise UsageError(msg)
+                refuse(f"{printable(str(file))}: there is no such file")
         if self.certificate is None:
             return
         # files that the server could not use
@@ -230,8 +228,7 @@ def reach(what: str, token: str | None) -> str:
     url = what if "//" in what else f"http://{what}/"
     parts = urllib.parse.urlsplit(url)
     if parts.scheme not in {"http", "https"} or parts.hostname is None:
-        msg = f"{printable(what)!r} is neither a log nor HOST:PORT"
-        raise UsageError(msg)
+        refuse(f"{printable(what)!r} is neither a log nor HOST:PORT")
     if token is not None and "token=" not in parts.query:
         url = urllib.parse.urlunsplit(parts._replace(query=urllib.parse.urlencode({"token": token})))
     try:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tissueid.arrays import FloatArray
-from tissueid.errors import UsageError
+from tissueid.errors import UsageError, refuse
 from tissueid.rendering.tissue_block import Tissue
 
 #: Axes that a loop may have.
@@ -39,8 +39,7 @@ class Mechanics:
         ]
         shape = parts[0].shape
         if not (shape[0] == shape[1] <= MOST_AXES and all(one.shape == shape for one in parts)):
-            msg = f"mass, damping and stiffness must be numbers, or square of 1 to {MOST_AXES} axes alike"
-            raise UsageError(msg)
+            refuse(f"mass, damping and stiffness must be numbers, or square of 1 to {MOST_AXES} axes alike")
         for name, one in zip(("mass_kg", "damping_N_s_per_m", "stiffness_N_per_m"), parts, strict=True):
             symmetric = np.isfinite(one).all() and np.array_equal(one, one.T)
             if not (symmetric and np.linalg.eigvalsh(one)[0] >= 0):
@@ -214,11 +213,10 @@ class ControlSettings:
         mass = device + self.operator.mass_kg if self.variant == "A" else device
         below = 2.0 * float(np.linalg.eigvalsh(mass)[0]) - self.gains.damping_N_s_per_m / self.rate_Hz
         if below <= 0.0:
-            msg = (
+            refuse(
                 f"K_r of {self.gains.damping_N_s_per_m:g} N s/m overshoots within one sample of "
                 f"{1e3 / self.rate_Hz:g} ms; lower it, or raise the rate"
             )
-            raise UsageError(msg)
         return self.disturbance_bound_N() ** 2 / self.rate_Hz / below
 
     def sigma_floor(self) -> float:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tissueid.errors import UsageError
+from tissueid.errors import refuse
 from tissueid.haptics.device import AskedDevice, Capabilities, DetectedDevice
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
@@ -34,8 +34,7 @@ class EmulatorDevice(FalconDevice):
         calibration: Calibration | None = None,
     ) -> None:
         if port is not None:
-            msg = f"--device emulator makes its own port; for one that runs at {port} say --device falcon"
-            raise UsageError(msg)
+            refuse(f"--device emulator makes its own port; for one that runs at {port} say --device falcon")
         super().__init__(limits, port="", firmware=firmware, calibration=calibration or Calibration())
         self._arguments = tuple(arguments)
         self._process: EmulatorProcess | None = None

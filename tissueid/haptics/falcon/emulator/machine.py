@@ -17,7 +17,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.compiled import kernel
-from tissueid.errors import UsageError, printable
+from tissueid.errors import UsageError, printable, refuse
 from tissueid.haptics.arm import POSITION, TIME, Arm, arm_step, new_arm
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.shared_hand import MAX_KNOTS
@@ -162,8 +162,7 @@ class ScriptedFault:
 
     def __post_init__(self) -> None:
         if self.kind not in FAULT_KINDS:
-            msg = f"there is no fault {printable(self.kind)!r}; faults are {', '.join(FAULT_KINDS)}"
-            raise UsageError(msg)
+            refuse(f"there is no fault {printable(self.kind)!r}; faults are {', '.join(FAULT_KINDS)}")
 
     def active(self, time_s: float) -> bool:
         """It is on at a time of the device's clock [s]."""
