@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from typing import Any
 
-from tissueid.errors import UsageError
+from tissueid.errors import refuse
 from tissueid.flags import Flag
 from tissueid.ingest.quality import below_cell_range
 from tissueid.manifest import Decision, Study
@@ -42,11 +42,10 @@ def _decided_options(options: SegmentOptions, decision: Decision) -> SegmentOpti
         return replace(options, **said)
     except ValueError as error:
         because = decision.override.get("because", "")
-        msg = (
+        refuse(
             f"the study file and the command line contradict each other: {error} (in the study because: "
             f"{because}); leave the option out, or --no-study"
         )
-        raise UsageError(msg) from error
 
 
 def decided_trial(trial: Trial, decision: Decision, study: Study) -> Trial:

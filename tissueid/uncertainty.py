@@ -28,7 +28,7 @@ from tissueid.documents.identification import (
     PriorRow,
     SamplerReport,
 )
-from tissueid.errors import UsageError
+from tissueid.errors import refuse
 from tissueid.notebook import Shown
 
 if TYPE_CHECKING:
@@ -206,8 +206,7 @@ def netcdf_bytes(data: Any) -> bytes:
         try:
             data.to_netcdf(str(path))
         except (ImportError, ValueError) as error:
-            msg = f"no NetCDF can be written ({error}); install a library for it by `pip install h5netcdf`"
-            raise UsageError(msg) from error
+            refuse(f"no NetCDF can be written ({error}); install a library for it by `pip install h5netcdf`")
         return path.read_bytes()
 
 
@@ -219,8 +218,7 @@ def _libraries() -> tuple[Any, Any]:
             import arviz
             import xarray
     except ImportError as error:
-        msg = f"arviz can't be imported ({error}); install it by `pip install 'tissueid[arviz]'`"
-        raise UsageError(msg) from error
+        refuse(f"arviz can't be imported ({error}); install it by `pip install 'tissueid[arviz]'`")
     return arviz, xarray
 
 

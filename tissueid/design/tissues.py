@@ -12,7 +12,7 @@ from scipy.stats import norm, qmc
 
 from tissueid.arrays import FloatArray
 from tissueid.documents.design import Want
-from tissueid.errors import UsageError, refuse
+from tissueid.errors import refuse
 from tissueid.inference.estimates import REFERENCE_DEPTH
 from tissueid.inference.reported import reported_draws
 from tissueid.model.base import branch_suffix
@@ -135,9 +135,8 @@ def full_name(named: str, model: ChannelModel) -> str:
 def _number(text: str, what: str) -> float:
     try:
         value = float(text)
-    except ValueError as error:
-        msg = f"{what}: {text!r} is no number"
-        raise UsageError(msg) from error
+    except ValueError:
+        refuse(f"{what}: {text!r} is no number")
     if not np.isfinite(value):
         refuse(f"{what}: {text!r} must be finite")
     return value

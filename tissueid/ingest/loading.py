@@ -43,8 +43,7 @@ def _opened(url: str) -> tuple[Any, str]:
     try:
         from fsspec.core import url_to_fs
     except ImportError as error:
-        msg = f"{printable(url)}: URLs are read by fsspec ({error}); pip install 'tissueid[remote]'"
-        raise UsageError(msg) from error
+        refuse(f"{printable(url)}: URLs are read by fsspec ({error}); pip install 'tissueid[remote]'")
     try:
         system, path = url_to_fs(url)
     except (ImportError, *_UNREACHED) as error:

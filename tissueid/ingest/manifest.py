@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from tissueid.errors import InputError, UsageError
+from tissueid.errors import InputError, UsageError, refuse
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.stated import (
     PriorError,
@@ -220,8 +220,7 @@ def read_study(path: str | Path) -> Study:
     try:
         content = file.read_bytes()
     except OSError as error:
-        msg = f"{file}: can't be read ({error.strerror}); `tissueid study init` writes one"
-        raise UsageError(msg) from error
+        refuse(f"{file}: can't be read ({error.strerror}); `tissueid study init` writes one")
     return study_of(content, file)
 
 

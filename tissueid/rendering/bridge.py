@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.errors import UsageError, printable, refuse
+from tissueid.errors import printable, refuse
 from tissueid.haptics.states import Lamp, State
 from tissueid.rendering.tissue_block import Plane
 
@@ -101,8 +101,7 @@ class UdpBridge:
             self._in.bind((LOOPBACK, send_to[1] + 1))
         except (OSError, OverflowError) as error:
             self.close()
-            msg = f"--bridge {printable(send_to[0])}:{send_to[1]}: {error}; choose another port"
-            raise UsageError(msg) from error
+            refuse(f"--bridge {printable(send_to[0])}:{send_to[1]}: {error}; choose another port")
 
     def send(self, records: NDArray[Any]) -> None:
         """Send the newest record, unless the last was sent a moment ago; never waits."""

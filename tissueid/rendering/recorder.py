@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray, RecordArray
-from tissueid.errors import UsageError, refuse
+from tissueid.errors import refuse
 from tissueid.haptics.ring import RECORD
 from tissueid.haptics.states import FAULT_WORDS, Fault, Lamp, State
 from tissueid.rendering.servo import DEGRADED_SHARE
@@ -38,15 +38,13 @@ class Recorder:
         try:
             # no buffer: what was written survives this process
             self._stream = self.part.open("xb", buffering=0)
-        except FileExistsError as error:
-            msg = (
+        except FileExistsError:
+            refuse(
                 f"{self.part}: left by a session that was killed; read it with `tissueid inspect "
                 f"{self.part}`, then move it away"
             )
-            raise UsageError(msg) from error
         except OSError as error:
-            msg = f"{self.part}: can't be written ({error.strerror}); choose another place"
-            raise UsageError(msg) from error
+            refuse(f"{self.part}: can't be written ({error.strerror}); choose another place")
         if not self._write(raw_head(head, RECORD)):
             self._close()
             self.part.unlink(missing_ok=True)

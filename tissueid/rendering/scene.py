@@ -10,7 +10,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from tissueid.errors import UsageError, printable, refuse
+from tissueid.errors import printable, refuse
 from tissueid.haptics.hand import MM
 from tissueid.model.channels import DampedModel
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
@@ -85,12 +85,10 @@ def _document(file: Traversable, name: str) -> dict[str, Any]:
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except tomllib.TOMLDecodeError as error:
-        msg = f"{printable(name)} is no TOML: {error}"
-        raise UsageError(msg) from error
+        refuse(f"{printable(name)} is no TOML: {error}")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
-        msg = f"{printable(str(file))}: can't be read ({reason}); name a TOML file, see docs/guidance.md"
-        raise UsageError(msg) from error
+        refuse(f"{printable(str(file))}: can't be read ({reason}); name a TOML file, see docs/guidance.md")
 
 
 def _law(path: Path) -> dict[str, Any]:
@@ -132,8 +130,7 @@ def _guidance(document: Mapping[str, Any], given: str, folder: Path) -> Guidance
             weight_slope_N_per_m=(tuple(rows[0]), tuple(rows[1]), tuple(rows[2])),
         )
     except ValueError as error:
-        msg = f"scene {printable(given)!r}: {error}"
-        raise UsageError(msg) from error
+        refuse(f"scene {printable(given)!r}: {error}")
 
 
 def _in_metres(table: Mapping[str, Any]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ import numpy as np
 from tissueid import __version__
 from tissueid.arrays import FloatArray
 from tissueid.documents import plain
-from tissueid.errors import UsageError, printable, refuse
+from tissueid.errors import printable, refuse
 from tissueid.haptics.device import Capabilities
 from tissueid.haptics.hand import Hand, Stroke, parse_script, scripted_hand
 from tissueid.rendering.options import Picked
@@ -92,12 +92,10 @@ def write_key(path: Path, order: BlindOrder, tissues: Sequence[dict[str, Any]]) 
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(handle, "w", encoding="utf-8") as stream:
             stream.write(text)
-    except FileExistsError as error:
-        msg = f"{path}: exists already; an answer key is never overwritten, choose another --key"
-        raise UsageError(msg) from error
+    except FileExistsError:
+        refuse(f"{path}: exists already; an answer key is never overwritten, choose another --key")
     except OSError as error:
-        msg = f"{path}: the answer key can't be written ({error.strerror}); choose another --key"
-        raise UsageError(msg) from error
+        refuse(f"{path}: the answer key can't be written ({error.strerror}); choose another --key")
 
 
 SWITCH = "switch"

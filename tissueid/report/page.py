@@ -23,7 +23,7 @@ from tissueid.documents import plain
 from tissueid.documents.identification import Estimate, Identification, Specimen
 from tissueid.documents.inspect import Units
 from tissueid.documents.study import StudyCheck
-from tissueid.errors import UsageError
+from tissueid.errors import refuse
 from tissueid.flags import flag_level
 from tissueid.report.figures import curve_payload, curves_by_trial, posterior_payload
 from tissueid.report.law_payload import curve_groups, law_payload
@@ -146,8 +146,7 @@ def _library() -> bytes:
     try:
         return place.read_bytes()
     except FileNotFoundError as error:
-        msg = f"{error.filename}: reports need plotly.js, which an installation brings: pip install ."
-        raise UsageError(msg) from error
+        refuse(f"{error.filename}: reports need plotly.js, which an installation brings: pip install .")
 
 
 def plotly_script() -> Markup:

@@ -16,11 +16,11 @@ import shutil
 import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from typing import IO, Any, Self
+from typing import IO, Any
 
 from tissueid.documents import plain
 
@@ -160,16 +160,13 @@ def _spelled(value: Any, level: int) -> bytes:
     return text.replace("\n", "\n" + " " * (_INDENT * level)).encode("utf-8")
 
 
-class JsonList:
+class JsonList(AbstractContextManager["JsonList"]):
     """A list of a document, written down as it grows; ``level``: how deep its elements stand in it."""
 
     def __init__(self, level: int) -> None:
         self.level = level
         self.count = 0
         self._file = SpooledTemporaryFile(max_size=_SPOOL_BYTES)  # noqa: SIM115 -- closed by close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._file.close()

@@ -24,10 +24,10 @@ import sqlite3
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from tissueid.errors import BundleError
 from tissueid.result import Refusal
@@ -90,7 +90,7 @@ class JobRow:
     reason: str | None
 
 
-class Index:
+class Index(AbstractContextManager["Index"]):
     """The index of an output folder, open for writing.
 
     ``out``: output folder, whose lock the caller holds.  ``remark``: what others must do without on this file
@@ -144,9 +144,6 @@ class Index:
         except sqlite3.OperationalError as error:
             number = errno.ENOSPC if "full" in str(error) else errno.EIO
             raise OSError(number, str(error), str(self.path)) from error
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._database.close()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Mapping
-from typing import Any, Protocol, Self
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
 
 import uvicorn
 from starlette.applications import Starlette
@@ -82,7 +83,7 @@ async def _words(request: Request) -> dict[str, Any] | Response:
     return words
 
 
-class PageServer:
+class PageServer(AbstractContextManager["PageServer"]):
     """The server, in this process, which listens from its making on; UsageError: the port is taken."""
 
     def __init__(self, shown: DecidedPage, port: int | None = None) -> None:
@@ -106,9 +107,6 @@ class PageServer:
     def close(self) -> None:
         """Give the port back; harmless when called twice."""
         self._listening.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -10,10 +10,11 @@ import urllib.error
 import urllib.parse
 import urllib.request
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
-from tissueid.errors import UsageError, printable, refuse
+from tissueid.errors import printable, refuse
 from tissueid.own_process import own_process
 from tissueid.viewer.security import LOOPBACK, Access, is_loopback, new_token
 
@@ -52,15 +53,14 @@ class ViewerOptions:
                 str(self.certificate), str(self.key), password=_no_password
             )
         except (OSError, ValueError) as error:
-            msg = (
+            refuse(
                 f"{printable(str(self.certificate))} and its key can't be used "
                 f"({getattr(error, 'reason', None) or error}); give a certificate and its own key, as PEM, "
                 "without a password"
             )
-            raise UsageError(msg) from error
 
 
-class ServedViewer:
+class ServedViewer(AbstractContextManager["ServedViewer"]):
     """A running server, before and while there is a session; UsageError: no such address, or a taken port."""
 
     def __init__(self, options: ViewerOptions) -> None:
@@ -164,9 +164,6 @@ class ServedViewer:
             self._process.kill()
             self._process.wait()
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.close()
 
@@ -187,8 +184,7 @@ def listening_socket(options: ViewerOptions) -> socket.socket:
             )[0]
             listening = socket.socket(family, kind, protocol)
         except (OSError, OverflowError) as error:
-            msg = f"--host {printable(options.host)}: {error}"
-            raise UsageError(msg) from error
+            refuse(f"--host {printable(options.host)}: {error}")
         try:
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listening.bind(address)
@@ -196,11 +192,10 @@ def listening_socket(options: ViewerOptions) -> socket.socket:
         except (OSError, OverflowError) as error:
             listening.close()
             if port == wanted[-1]:
-                msg = (
+                refuse(
                     f"the viewer can't listen on {printable(options.host)}, port {port} "
                     f"({getattr(error, 'strerror', error)}); choose another with --viewer-port or --host"
                 )
-                raise UsageError(msg) from error
         else:
             return listening
     raise AssertionError  # the last port is returned or refused
@@ -237,12 +232,10 @@ def reach(what: str, token: str | None) -> str:
     except urllib.error.HTTPError as error:
         words = error.read(300).decode("utf-8", "replace").strip().splitlines()
         why = printable(words[0]) if words else error.reason
-        msg = f"{printable(what)}: {why}"
-        raise UsageError(msg) from error
+        refuse(f"{printable(what)}: {why}")
     except (urllib.error.URLError, OSError, ValueError) as error:
         reason = getattr(error, "reason", error)
-        msg = (
+        refuse(
             f"{printable(what)}: nothing answers ({reason}); start it there with "
             "`tissueid render ... --viewer --host ADDRESS`"
         )
-        raise UsageError(msg) from error

@@ -176,11 +176,10 @@ def parse_fault(text: str) -> ScriptedFault:
     at, _, size = rest.partition(":")
     try:
         numbers = float(at), float(duration) if duration else None, float(size) if size else 1000.0
-    except ValueError as error:
-        msg = (
+    except ValueError:
+        refuse(
             f"{printable(text)!r} is no fault; write KIND@SECONDS, e.g. unplug@6, jump@6:300 or silence@5/0.5"
         )
-        raise UsageError(msg) from error
     return ScriptedFault(kind.strip(), numbers[0], numbers[1], numbers[2])
 
 
