@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -14,7 +14,7 @@ from tissueid.cli.output import checked, made_folder, note, progress_bar, refuse
 from tissueid.cli.reading import ReadingFlags, read_all, read_options, recorded_options
 from tissueid.cli.synth_command import check_rate
 from tissueid.documents.folder import Frame
-from tissueid.documents.selfcheck import SelfCheck
+from tissueid.documents.selfcheck import Prior, SelfCheck
 from tissueid.errors import InputError, NotIdentifiedError, UsageError, refuse
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def command(flags: _CalibrateFlags) -> int:
     document, read = checked(written, "selfcheck", SelfCheck, where=_FILES[0])
     write_file(out / _FILES[0], json_bytes(document))
     write_file(out / _FILES[1], render_selfcheck(read, created=time_now()).encode("utf-8"))
-    tell(flags, document, _lines(check, found.protocol, verdict, flags.out))
+    tell(flags, document, _lines(check, read.priors, found.protocol, verdict, flags.out))
     for reason in verdict.reasons:
         note(f"not calibrated: {reason}", quiet=flags.quiet)
     return 0 if verdict.calibrated else NotIdentifiedError.exit_status
@@ -128,21 +128,18 @@ def _with_noise(centre: Centre, flags: _CalibrateFlags) -> Centre:
     return replace(centre, phi=phi, white_share=0.0)
 
 
-def _lines(check: TissueCheck, protocol: Protocol, verdict: Verdict, out: str) -> Iterator[str]:
+def _lines(
+    check: TissueCheck, priors: Sequence[Prior], protocol: Protocol, verdict: Verdict, out: str
+) -> Iterator[str]:
     from tissueid.report.wording import counted
-    from tissueid.selfcheck.truth import prior_words
 
     yield (
         f"{protocol.words}: {counted(len(protocol.logs), 'log')}, "
         f"{protocol.samples:,} samples; {check.noise_model} noise; {verdict.simulations} simulations"
     )
-    words = prior_words(
-        check.priors, correlated=check.correlated, pooling=check.pooling, defects=check.defects
-    )
     yield ""
     yield "priors"
-    for name, said in words.items():
-        yield f"  {name}: {said}"
+    yield from (f"  {one.name}: {one.prior}" for one in priors)
     width = max(len(one.name) for one in verdict.parameters)
     levels = "".join(f"{100 * row.level:>7g} %" for row in verdict.parameters[0].coverage)
     yield ""

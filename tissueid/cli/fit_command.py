@@ -27,6 +27,7 @@ from tissueid.documents.identification import Exclusion, Specimen
 from tissueid.errors import NotIdentifiedError, UsageError, exit_code, refuse
 from tissueid.report.specimen_lines import shared_codes, shared_lines, specimen_lines
 from tissueid.report.wording import whole_label
+from tissueid.store.outputs import refuse_unwritten
 from tissueid.store.results import load_identification
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 #: A study of so many specimens is a cohort.
 COHORT_FROM = 5
 KELVIN_VOIGT = "kelvin-voigt"
+_FILES = ("identification.json", "report.html", "curves.h5", "bundle*.h5")
 
 
 def _moved(_context: click.Context, _option: click.Parameter, value: str | None) -> None:
@@ -150,7 +152,7 @@ def command(flags: _FitFlags) -> int:
     flags = _checked_model(flags)
     options = _identify_options(flags)
     files = inputs_in_order(paths, study)
-    _refuse_foreign(Path(flags.out))
+    refuse_unwritten(Path(flags.out), _FILES)
     by_pattern = PatternCheck(reading.specimen_by, study)
     request = Request(
         files,
@@ -203,19 +205,6 @@ def _population(flags: _FitFlags, study: Study | None, fitted: int) -> int:
     if not flags.as_json:
         print_population(written, flags.out, quiet=flags.quiet)
     return 0 if written.converged else NotIdentifiedError.exit_status
-
-
-def _refuse_foreign(out: Path) -> None:
-    """Files of our names in a folder that no run of ours made are somebody's: they stay."""
-    if (out / ".current").exists() or not out.is_dir():
-        return
-    names = ("identification.json", "report.html", "curves.h5", "bundle*.h5")
-    foreign = sorted(path.name for name in names for path in out.glob(name))
-    if foreign:
-        refuse(
-            f"{out} holds {', '.join(foreign)} that tissueid did not write there: choose another folder "
-            "with -o, or move them away"
-        )
 
 
 def _checked_model(flags: _FitFlags) -> _FitFlags:

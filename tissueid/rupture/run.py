@@ -31,7 +31,7 @@ from tissueid.rupture_law import DEFAULT_WEIGHT
 from tissueid.segment import SegmentOptions, segment
 from tissueid.store.bundle import bundle_from_fit, write_bundle
 from tissueid.store.files import IDENTIFICATION, bundle_names, json_bytes
-from tissueid.store.outputs import OutputSet
+from tissueid.store.outputs import OutputSet, refuse_unwritten
 from tissueid.store.schema import check
 from tissueid.trial import Source, Trial
 
@@ -246,7 +246,9 @@ PAGE = "rupture.html"
 
 def write_rupture(out: Path, run: Callable[[], RuptureRun]) -> dict[str, Any]:
     """Write the set that ``run`` gives, all at once or not at all; it is called in a folder that is ours."""
-    refuse_foreign(out)
+    if (out / IDENTIFICATION).exists():
+        refuse(f"{out} holds the outputs of `tissueid fit`, which this would replace: choose another folder")
+    refuse_unwritten(out, (RUPTURE, PAGE, "bundle*.h5"))
     with OutputSet(out) as files:
         found = run()
         specimens = found.identification.specimens
@@ -262,17 +264,3 @@ def write_rupture(out: Path, run: Callable[[], RuptureRun]) -> dict[str, Any]:
         files.write(PAGE, render_rupture(typed(document, Rupture), created=created).encode("utf-8"))
         files.commit()
     return document
-
-
-def refuse_foreign(out: Path) -> None:
-    """A fit's outputs, and files that nobody of ours wrote, stay where they are."""
-    if (out / IDENTIFICATION).exists():
-        refuse(f"{out} holds the outputs of `tissueid fit`, which this would replace: choose another folder")
-    if (out / ".current").exists() or not out.is_dir():
-        return
-    foreign = sorted(path.name for name in (RUPTURE, PAGE, "bundle*.h5") for path in out.glob(name))
-    if foreign:
-        refuse(
-            f"{out} holds {', '.join(foreign)} that tissueid did not write there: choose another folder "
-            "with -o, or move them away"
-        )

@@ -27,13 +27,13 @@ import platform
 import shutil
 import sys
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Self
 
-from tissueid.errors import BundleError
+from tissueid.errors import BundleError, refuse
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file, sha256_of, write_file
 from tissueid.store.schema import check
 
@@ -147,6 +147,21 @@ def current_run(out: Path | str) -> CommittedRun | None:
         raise BundleError(msg) from error
     check(document, "outputs", where=str(folder / _MANIFEST))
     return CommittedRun(folder, document["files"], tuple(document["replaces"]))
+
+
+def refuse_unwritten(out: Path, names: Iterable[str]) -> None:
+    """Refuse, by UsageError, a folder that no run made and that holds files of our names: they stay.
+
+    ``names``: patterns of the files that the coming run writes.
+    """
+    if (out / _CURRENT).exists() or not out.is_dir():
+        return
+    foreign = sorted(path.name for name in names for path in out.glob(name))
+    if foreign:
+        refuse(
+            f"{out} holds {', '.join(foreign)} that tissueid did not write there: choose another folder "
+            "with -o, or move them away"
+        )
 
 
 def _run_id(out: Path) -> str | None:
