@@ -359,10 +359,9 @@ def test_a_test_after_cycles_that_let_go_gives_back_the_tissue(how) -> None:
         ({"speeds": (0.5, 2.0, 5.0), "depths": (3.0,) * 3}, 3),
         ({"speeds": (5.0, 0.5), "depths": (3.0,) * 2, "rest_s": 15.0}, 2),
         ({"speeds": (0.5, 2.0, 5.0), "depths": (3.0,) * 3, "back_mm": 2.0}, 3),
-        ({"speeds": (2.0,) * 3, "depths": (1.0, 2.0, 3.0), "hold_s": 6.0}, 3),
     ],
 )
-def test_loadings_of_several_speeds_or_held_depths_are_fitted_together(plan, count) -> None:
+def test_loadings_of_several_speeds_are_fitted_together(plan, count) -> None:
     trial = loadings(**plan)
     log = fitted_log(trial, segment(trial))
     assert log.loadings == count
@@ -375,15 +374,18 @@ def test_loadings_of_several_speeds_or_held_depths_are_fitted_together(plan, cou
     for name, value in truth.items():
         assert found.parameter(name).value == pytest.approx(value, rel=0.04), name
     (said,) = [flag.message for flag in found.trials[0].flags if flag.code == "unloading_left_out"]
-    assert f"the unloading between {count} loadings (their state is carried on)" in said
+    assert f"the unloading between {count} loadings (taken for one tissue)" in said
 
 
-@pytest.mark.parametrize("depths", [(3.0, 3.0, 3.0), (1.0, 2.0, 3.0)])
-def test_loadings_of_one_speed_without_a_hold_are_repetitions(depths) -> None:
-    trial = loadings((2.0,) * 3, depths)
+@pytest.mark.parametrize(
+    ("speeds", "depths", "hold_s"),
+    [((2.0,) * 3, (3.0,) * 3, 0.0), ((2.0,) * 3, (1.0, 2.0, 3.0), 0.0), ((2.0, 5.0), (3.0, 3.0), 6.0)],
+)
+def test_of_repetitions_and_of_pushes_that_are_held_the_first_is_fitted(speeds, depths, hold_s) -> None:
+    trial = loadings(speeds, depths, hold_s=hold_s)
     log = fitted_log(trial, segment(trial))
     assert log.loadings == 1
-    assert log.data.time_s[-1] == pytest.approx(1.0 + (1.0 + depths[0]) / 2.0, abs=0.03)
+    assert log.data.time_s[-1] == pytest.approx(1.0 + (1.0 + depths[0]) / 2.0 + hold_s, abs=0.03)
 
 
 def test_forces_know_how_a_surface_moves_with_the_law() -> None:

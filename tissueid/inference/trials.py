@@ -104,7 +104,7 @@ def _left_out(trial: Trial, segmentation: Segmentation, log: FittedLog) -> list[
             since = "the tool first turned back" if log.loadings == 1 else "the tool last turned back"
         words.append(f"{size - reach} of {size} samples after {since}")
     if log.loadings > 1:
-        words.append(f"the unloading between {log.loadings} loadings (their state is carried on)")
+        words.append(f"the unloading between {log.loadings} loadings (taken for one tissue)")
     cycles = sum(phase.kind == "cycle" for phase in segmentation.phases[: segmentation.test])
     if cycles:
         kept = log.first < segmentation.phases[segmentation.test].start

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.measured.loadings import (
-    ONE_DEPTH,
     first_of_test,
     loading_speed,
     loadings_of,
@@ -35,8 +34,8 @@ from tissueid.trial import RENDERED, Phase, Segmentation, Trial, contact_frame
 GUARD_SD = 3.0
 #: Fewest samples that are worth a fit.
 MIN_SAMPLES = 6
-#: Ratio of speeds below which a set counts as one.
-ONE_SPEED = 1.2
+#: Ratio of speeds, and of depths of holds, below which a set counts as one.
+ONE_SPEED, ONE_DEPTH = 1.2, 1.2
 #: Held-out groups of a specimen with one log, and stretches a phase is cut into for them.
 FOLDS, STRETCHES = 6, 24
 
@@ -88,7 +87,7 @@ class FittedLog:
     #: (n,): depth of a tool that turned back and may have let go: ``data.depth_mm`` is then that of the
     #: surface that it leaves behind.
     tool_mm: FloatArray | None = None
-    loadings: int = 1  # of several speeds, or of several depths with holds
+    loadings: int = 1  # of several speeds, taken for one tissue
 
     def without_samples(self) -> FittedLog:
         """The facts alone: the first and last sample stand for all."""

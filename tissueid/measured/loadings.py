@@ -17,8 +17,6 @@ SMOOTHED = 5
 LEAST_BACK = 1e-3
 #: Depth over the largest from which a loading tells a speed.
 LEAST_LOADING = 0.1
-#: Ratio of depths below which held loadings are of one.
-ONE_DEPTH = 1.2
 
 
 def first_of_test(segmentation: Segmentation) -> int:
@@ -57,15 +55,14 @@ def _loadings(segmentation: Segmentation, depth: FloatArray, first: int) -> list
 def _several(
     segmentation: Segmentation, time_s: FloatArray, depth: FloatArray, loadings: list[slice]
 ) -> bool:
-    """True where loadings are of several speeds, or of several depths with holds: more than repetitions."""
+    """True where loadings are of several speeds, and none ends in a hold, which tells as much by itself."""
     deep = np.array([depth[one].max(initial=0.0) for one in loadings])
     real = [one for one, far in zip(loadings, deep, strict=True) if far > LEAST_LOADING * deep.max()]
-    if not real:
+    holds = segmentation.of_kind("hold")
+    if not real or any(hold.start < one.stop <= hold.stop for hold in holds for one in loadings):
         return False
     speeds = [loading_speed(time_s, depth, one) for one in real]
-    first, last = loadings[0].stop, loadings[-1].stop
-    held = any(first < hold.start < last for hold in segmentation.of_kind("hold"))
-    return max(speeds) > SEVERAL_SPEEDS * min(speeds) or (held and bool(deep.max() > ONE_DEPTH * deep[0]))
+    return max(speeds) > SEVERAL_SPEEDS * min(speeds)
 
 
 def loadings_of(segmentation: Segmentation, time_s: FloatArray, depth: FloatArray, first: int) -> list[slice]:
