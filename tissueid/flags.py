@@ -256,7 +256,7 @@ _CAUTION = {
         "to 10⁻⁸ m²/s); with another tip fluid flow slows with the square of its radius, viscosity does "
         "not.", "Repeat with a tip of another radius.", "may relax by fluid flow"),
     "unloading_left_out": FlagKind("Unloading",
-        "samples in which the tool turned back took no part in the fit",
+        "samples after the tool first turned back took no part in the fit",
         "Only loading and holds are fitted.", "Add --unloading.", "have samples that were not fitted"),
     "specimen_outlier": FlagKind("Outliers", "a specimen is far from the others",
         "It counts less with heavy tails, and in full with normal ones.",

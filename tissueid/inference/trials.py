@@ -101,10 +101,8 @@ def _left_out(trial: Trial, segmentation: Segmentation, log: FittedLog) -> list[
         elif segmentation.phases and reach >= segmentation.phases[-1].stop:
             since = "the part that was asked for"
         else:
-            since = "the tool first turned back" if log.loadings == 1 else "the tool last turned back"
+            since = "the tool first turned back"
         words.append(f"{size - reach} of {size} samples after {since}")
-    if log.loadings > 1:
-        words.append(f"the unloading between {log.loadings} loadings (taken for one tissue)")
     cycles = sum(phase.kind == "cycle" for phase in segmentation.phases[: segmentation.test])
     if cycles:
         kept = log.first < segmentation.phases[segmentation.test].start

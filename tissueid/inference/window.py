@@ -12,20 +12,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.measured.loadings import (
-    first_of_test,
-    loading_speed,
-    loadings_of,
-    mean_speed,
-    measured_surface,
-)
+from tissueid.measured.loadings import first_of_test, first_turn, mean_speed, measured_surface
 from tissueid.measured.pushes import usable_until
 from tissueid.signal_noise import chain_breaks
 from tissueid.trial import RENDERED, Phase, Segmentation, Trial, contact_frame
@@ -87,7 +80,6 @@ class FittedLog:
     #: (n,): depth of a tool that turned back and may have let go: ``data.depth_mm`` is then that of the
     #: surface that it leaves behind.
     tool_mm: FloatArray | None = None
-    loadings: int = 1  # of several speeds, taken for one tissue
 
     def without_samples(self) -> FittedLog:
         """The facts alone: the first and last sample stand for all."""
@@ -140,14 +132,11 @@ def fitted_log(
         return None
     depth, force = contact_frame(trial, segmentation)
     first, begins = contact.index, first_of_test(segmentation)
-    loadings = loadings_of(segmentation, trial.time_s, depth, first)
-    turn = loadings[0].stop
-    last = max(usable_until(segmentation, depth.size), turn) if whole else loadings[-1].stop
+    turn = first_turn(segmentation, depth, first)
+    last = max(usable_until(segmentation, depth.size), turn) if whole else turn
     time, x, f = trial.time_s[first:last], depth[first:last], force[first:last]
     limits = [flag.values["force_N"] for flag in trial.flags if flag.code == "clipped_force"]
     include = (np.arange(first, last) >= begins) & ~np.isin(trial.force_N[first:last], limits)
-    for one, other in pairwise(() if whole else loadings):
-        include[one.stop - first : other.start - first] = False
     if (contact.in_record or guard) and begins <= first:
         include &= x >= GUARD_SD * contact.sd_mm
     exact = trial.protocol.kind == RENDERED
@@ -157,7 +146,7 @@ def fitted_log(
         time, x, f = np.append(start, time), np.append(0.0, x), np.append(0.0, f)
         include = np.append(False, include)
     tool, response, ahead = None, None, first - int(inserted)
-    if whole or begins > first or len(loadings) > 1:
+    if whole or begins > first:
         # a tool that lets go leaves a surface behind, which comes back, and which the states follow
         turned = min([turn, *(one.peak for one in segmentation.phases if one.peak is not None)]) - ahead
         by_force = partial(measured_surface, force_N=f, turn=turned, noise_N=segmentation.force_noise_N)
@@ -174,8 +163,6 @@ def fitted_log(
         return None
     inside = [one for one in segmentation.phases if max(first, begins) < one.stop and one.start < last - 1]
     speeds = tuple(phase.speed_mm_s for phase in inside if phase.kind == "ramp")
-    if len(loadings) > 1:
-        speeds = tuple(loading_speed(trial.time_s, depth, one) for one in loadings)
     folds, breaks = np.zeros(time.size, dtype=np.int64), chain_breaks(time)
     data = LogData(time, x, f, include, folds, breaks=breaks, exact=exact, response=response)
     return FittedLog(
@@ -189,7 +176,6 @@ def fitted_log(
         has_hold=any(phase.kind in ("hold", "creep") for phase in inside),
         n_samples=int(include.sum()),
         tool_mm=tool,
-        loadings=len(loadings),
     )
 
 

@@ -1,4 +1,4 @@
-"""Loadings of a recording, and the surface between them, as far as the record itself tells them."""
+"""The loading that is fitted, and the surface behind it, as far as the record itself tells them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.measured.pushes import usable_until
-from tissueid.trial import SEVERAL_SPEEDS, Segmentation
+from tissueid.trial import Segmentation
 
 #: Measured force, over the peak and in standard deviations of its noise, below which the tool is in air.
 AIR_SHARE, AIR_SD = 0.01, 3.0
@@ -15,8 +15,6 @@ AIR_SHARE, AIR_SD = 0.01, 3.0
 SMOOTHED = 5
 #: Depth, over the largest, that a surface is back at.
 LEAST_BACK = 1e-3
-#: Depth over the largest from which a loading tells a speed.
-LEAST_LOADING = 0.1
 
 
 def first_of_test(segmentation: Segmentation) -> int:
@@ -27,55 +25,21 @@ def first_of_test(segmentation: Segmentation) -> int:
     return start if usable_until(segmentation, start + 1) > start else 0
 
 
-def _loadings(segmentation: Segmentation, depth: FloatArray, first: int) -> list[slice]:
-    """Samples of each loading from contact on, with the holds behind it: until the tool turns back."""
-    begins, stop = max(first, first_of_test(segmentation)) + 1, usable_until(segmentation, depth.size)
-    ends, starts = [first], [begins - 1]
+def first_turn(segmentation: Segmentation, depth: FloatArray, first: int) -> int:
+    """One past the last sample before the tool first turns back, or the tissue breaks."""
+    stop = usable_until(segmentation, depth.size)
+    begins = first_of_test(segmentation)
+    last = first
     for phase in segmentation.phases:
-        if phase.stop <= begins or phase.start >= stop:
-            continue
-        turned = len(ends) > len(starts)
-        if turned and phase.kind in ("approach", "ramp", "cycle"):
-            starts.append(phase.start)
-            turned = False
-        if turned:
+        if phase.stop <= first + 1 or phase.stop <= begins + 1:
             continue
         if phase.kind == "cycle":
-            ends[-1] = max(ends[-1], phase.start + int(np.argmax(depth[phase.start : phase.stop])) + 1)
-        else:
-            ends[-1] = max(ends[-1], phase.start + 1 if phase.kind == "retract" else phase.stop)
-        if phase.kind in ("cycle", "retract"):
-            ends.append(0)
-    if ends[0] <= first:
-        return [slice(first, stop)]
-    found = [slice(one, min(other, stop)) for one, other in zip(starts, ends, strict=False)]
-    return [one for one in found if one.stop > one.start + 1] or found[:1]
-
-
-def _several(
-    segmentation: Segmentation, time_s: FloatArray, depth: FloatArray, loadings: list[slice]
-) -> bool:
-    """True where loadings are of several speeds, and none ends in a hold, which tells as much by itself."""
-    deep = np.array([depth[one].max(initial=0.0) for one in loadings])
-    real = [one for one, far in zip(loadings, deep, strict=True) if far > LEAST_LOADING * deep.max()]
-    holds = segmentation.of_kind("hold")
-    if not real or any(hold.start < one.stop <= hold.stop for hold in holds for one in loadings):
-        return False
-    speeds = [loading_speed(time_s, depth, one) for one in real]
-    return max(speeds) > SEVERAL_SPEEDS * min(speeds)
-
-
-def loadings_of(segmentation: Segmentation, time_s: FloatArray, depth: FloatArray, first: int) -> list[slice]:
-    """Loadings from contact on that make one test; of repetitions the first."""
-    found = _loadings(segmentation, depth, first)
-    return found if len(found) > 1 and _several(segmentation, time_s, depth, found) else found[:1]
-
-
-def loading_speed(time_s: FloatArray, depth_mm: FloatArray, loading: slice) -> float:
-    """Mean speed of a loading from a tenth of its depth on [mm/s]."""
-    time, depth = time_s[loading], depth_mm[loading]
-    begins = int(np.argmax(depth >= LEAST_LOADING * depth.max()))
-    return mean_speed(time[begins:], depth[begins:])
+            peak = phase.start + int(np.argmax(depth[phase.start : phase.stop]))
+            return min(max(last, peak + 1), stop)
+        if phase.kind == "retract":
+            return min(max(last, phase.start + 1), stop)
+        last = phase.stop
+    return min(last, stop) if last > first else stop
 
 
 def mean_speed(time_s: FloatArray, depth_mm: FloatArray) -> float:
