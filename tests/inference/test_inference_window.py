@@ -393,6 +393,14 @@ def test_forces_know_how_a_surface_moves_with_the_law() -> None:
         assert np.abs(change - 1e-4 * by).max() < 0.03 * np.abs(change).max()
     # what is carried through air is no small part of that
     assert (np.abs(here.remembered.by[:, [0, 1, 4]]).max(axis=0) > 0.09).all()
+    # another law of as many parameters has another surface
+    assert here.under(replace(law, depth_mm=2.0)).remembered is None
+    # a log without loops beside it carries nothing, and takes nothing away
+    time, depth = ramp_hold(100.0, 2.0, 3.0, 5.0)
+    plain = blocks_from(log_data(time, depth, depth), whole=True)
+    both = System([*here.logs, plain], law, 3.0, Effects())
+    assert both.remembered.by[: here.force.size] == pytest.approx(here.remembered.by)
+    assert not both.remembered.by[here.force.size :].any()
 
 
 def ruptured() -> Trial:

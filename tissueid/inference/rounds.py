@@ -76,9 +76,9 @@ class LawSurface:
         ]
         moved += [replace(self, linear=self.linear + one) for one in RESPONSE * np.diag(scale)]
         moved += [replace(self, offset=self.offset + RESPONSE)]
-        by = [one.follow(time_s, tool_mm)[0] - path_mm for one in moved]
+        changes = np.array([one.follow(time_s, tool_mm)[0] - path_mm for one in moved])
         steps = np.concatenate([np.full(self.log_times.size, RESPONSE), RESPONSE * scale, [RESPONSE]])
-        return SurfaceResponse(self.log_times, self.linear, self.offset, np.array(by) / steps[:, None])
+        return SurfaceResponse(self.law, self.log_times, self.linear, self.offset, changes / steps[:, None])
 
 
 def _surfaces(found: Identified, point: Point) -> list[LawSurface]:

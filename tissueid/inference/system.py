@@ -188,17 +188,17 @@ class System:
         return System(logs, law, self.depth_mm, self.effects, give=self.give)
 
     def _remembered(self) -> Remembered | None:
-        """Response of the observations to the law whose surfaces the paths follow, if it is of this kind."""
+        """Response of the observations to the law whose surfaces the paths follow, where it is this one."""
         each = [one.response for one in self.logs]
-        if any(one is None for one in each):
+        told = next((one for one in each if one is not None), None)
+        if told is None or told.law != self.law:
             return None
-        told = [one for one in each if one is not None]
-        times, linear = told[0].log_times, told[0].linear
-        if (times.size, linear.size) != (self.law.times, self.law.linear):
-            return None
-        offsets = np.array([one.offset for one in told])
+        times, linear = told.log_times, told.linear
+        offsets = np.array([0.0 if one is None else one.offset for one in each])
         depth = self.travel - self.at_points(offsets)
-        by = np.concatenate([one.by for one in told], axis=1) / self.depth_mm
+        still_mm = [np.zeros((len(told.by), n)) for n in self.points]
+        by_log = [none if one is None else one.by for one, none in zip(each, still_mm, strict=True)]
+        by = np.concatenate(by_log, axis=1) / self.depth_mm
 
         def force(depths: FloatArray) -> FloatArray:
             return np.asarray(linear @ self.law.columns(times, self.path(depths)))

@@ -37,6 +37,7 @@ FOLDS, STRETCHES = 6, 24
 class SurfaceResponse:
     """First-order response of a path in air to the law whose surface it follows."""
 
+    law: object
     log_times: FloatArray  # (t,)
     linear: FloatArray  # (p,)
     offset: float  # contact offset of the log over the largest depth
