@@ -131,7 +131,7 @@ _CAUTION = {
     "unloading_disagrees": FlagKind("Unloading", "taking unloading in moves a relaxation time or K",
         "One law does not hold on both ways: a contact that shrinks, adhesion or damage is another law.",
         "Quote the fit of loading and holds, without --unloading.", "have an unloading of another law"),
-    "unloading_not_settled": FlagKind("Unloading", "the fit of unloading, or with loops, did not converge",
+    "unloading_not_settled": FlagKind("Unloading", "the fit of unloading, or behind loops, did not converge",
         "Its numbers are rough.", "Fit without --unloading; rest longer between loops and test.",
         "have an unloading that did not settle"),
     "aborted_ramp": FlagKind("Aborted test", "the recording ends, or unloads, before the ramp is over",

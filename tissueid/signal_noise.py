@@ -24,6 +24,14 @@ FEWEST_CHANGES = 8
 ALIKE = 0.1
 #: Time steps that differ by less than this share of their median count as equal.
 EQUAL_STEP = 0.01
+#: Steps whose median a step is compared with: the first step of a new rate sees five of its own nine.
+AROUND = 9
+#: A regular clock keeps its step to this factor (time stamps are printed with more digits than that) ...
+REGULAR = 1.0 + 1e-4
+#: ... but for this part of its steps, which are gaps and event rows.
+IRREGULAR_SHARE = 0.05
+#: Of any other clock a step is a gap that is so many medians long, an event row one as many times shorter.
+GAP = 10.0
 
 
 def quantum(values: FloatArray, *, fewest: int = 1) -> float:
@@ -142,16 +150,6 @@ def lag_one_correlation(residual: FloatArray) -> float:
     if centred.size < 3 or power == 0.0:
         return 0.0
     return float(centred[1:] @ centred[:-1]) / power
-
-
-#: Steps whose median a step is compared with: the first step of a new rate sees five of its own nine.
-AROUND = 9
-#: A regular clock keeps its step to this factor (time stamps are printed with more digits than that) ...
-REGULAR = 1.0 + 1e-4
-#: ... but for this part of its steps, which are gaps and event rows.
-IRREGULAR_SHARE = 0.05
-#: Of any other clock a step is a gap that is so many medians long, an event row one as many times shorter.
-GAP = 10.0
 
 
 def chain_breaks(time_s: FloatArray) -> NDArray[np.bool_]:

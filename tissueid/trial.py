@@ -23,8 +23,6 @@ from tissueid.notebook import Shown
 
 #: Kind of the protocol of a rendered session's log: its force followed its own travel.
 RENDERED = "rendered"
-#: Ratio from which speeds of loadings in one log are several.
-SEVERAL_SPEEDS = 1.5
 
 
 def frozen_array(values: Any) -> FloatArray:

@@ -377,7 +377,7 @@ SET_SD, ORDERS = 3.0, 2
 def _remembered(
     found: Identified, handles: list[LogHandle], tick: Callable[[str], None], again: int = ORDERS
 ) -> Followed:
-    """Loadings with loops between them that let go, on the surface that comes back under the law found.
+    """Tests after loops that let go, on the surface that comes back in between under the law found.
 
     A contact that the fit moves far from where it was first met has set: its prior is widened.  The order is
     chosen again on the surface found.

@@ -115,6 +115,12 @@ def _crossed(time_s: FloatArray, depth_mm: FloatArray, *, exact: bool) -> float:
     return float(time_s[1] - share * (time_s[1] - time_s[0]))
 
 
+def _clipped(trial: Trial) -> NDArray[np.bool_]:
+    """Samples at the limit of the cell."""
+    limits = [flag.values["force_N"] for flag in trial.flags if flag.code == "clipped_force"]
+    return np.isin(trial.force_N, limits)
+
+
 def fitted_log(
     trial: Trial,
     segmentation: Segmentation,
@@ -136,8 +142,7 @@ def fitted_log(
     turn = first_turn(segmentation, depth, first)
     last = max(usable_until(segmentation, depth.size), turn) if whole else turn
     time, x, f = trial.time_s[first:last], depth[first:last], force[first:last]
-    limits = [flag.values["force_N"] for flag in trial.flags if flag.code == "clipped_force"]
-    include = (np.arange(first, last) >= begins) & ~np.isin(trial.force_N[first:last], limits)
+    include = (np.arange(first, last) >= begins) & ~_clipped(trial)[first:last]
     if (contact.in_record or guard) and begins <= first:
         include &= x >= GUARD_SD * contact.sd_mm
     exact = trial.protocol.kind == RENDERED
@@ -165,9 +170,8 @@ def fitted_log(
     inside = [one for one in segmentation.phases if max(first, begins) < one.stop and one.start < last - 1]
     speeds = tuple(phase.speed_mm_s for phase in inside if phase.kind == "ramp")
     folds, breaks = np.zeros(time.size, dtype=np.int64), chain_breaks(time)
-    data = LogData(time, x, f, include, folds, breaks=breaks, exact=exact, response=response)
     return FittedLog(
-        data=data,
+        data=LogData(time, x, f, include, folds, breaks=breaks, exact=exact, response=response),
         first=first,
         inserted=inserted,
         contact_sd_mm=contact.first_sd_mm,

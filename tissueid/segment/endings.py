@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from tissueid.flags import Flag
 from tissueid.segment.motion import Path, Piece, corner_near, corners, slope_of
 from tissueid.signal_noise import running_median
-from tissueid.trial import SEVERAL_SPEEDS, Event, Phase, Protocol
+from tissueid.trial import Event, Phase, Protocol
 
 #: Change from loop to loop below which tissue is preconditioned.
 PRECONDITIONED_CHANGE = 0.02
+#: Ratio from which speeds of loops are several: they differ as they should.
+SEVERAL_SPEEDS = 1.5
 #: Loops at the end whose changes count.
 LAST_LOOPS = 3
 #: Share of a loop's travel below its peak over which force is averaged by a straight line.
@@ -80,7 +82,7 @@ def cycle_flags(loops: tuple[Loop, ...], *, before_test: bool, baseline_N: float
     last = loops[-LAST_LOOPS:]
     speeds = [loop.speed_mm_s for loop in last]
     if len(last) < 2 or max(speeds) > SEVERAL_SPEEDS * min(speeds):
-        return flags  # loops of several speeds differ as they should
+        return flags
     force = _change([loop.peak_N - baseline_N for loop in last])
     work = _change([loop.work_N_mm for loop in last])
     depth = float(np.ptp([loop.peak_mm for loop in last]))
