@@ -115,6 +115,15 @@ def test_an_optimum_that_was_missed_is_told_and_found():
     np.testing.assert_allclose(kept.optimum.point.log_times, ours.optimum.point.log_times, atol=0.01 * away)
 
 
+def test_a_time_that_is_hardly_known_is_no_agreement():
+    ours = identified(handles_for(draw(small_recipe(), 2)))
+    there = missed_by(ours, 3.0 * np.sqrt(ours.optimum.covariance[0, 0]))
+    vague = replace(there, optimum=replace(there.optimum, covariance=1e6 * there.optimum.covariance))
+    said, _ = both_optimisers(vague)
+    assert said["relative_difference"] < -0.01
+    assert said["agree"] is False
+
+
 def test_at_an_active_bound_disagreement_is_no_verdict():
     # K is zero at the largest depth: the bound holds it from below
     _, path, force = one_log(1)

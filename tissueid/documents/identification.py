@@ -157,7 +157,7 @@ class StudyInputs(Document, frozen=True):
 
 
 class Provenance(Document, frozen=True):
-    """Inputs and options to repeat the run by; no time stamps: the same run gives the same bytes."""
+    """Inputs and options to repeat the run by; no time stamps: the same run gives the same numbers."""
 
     tissueid: str  # Version that wrote this
     options: dict[str, Any]  # Options of the run that change its numbers, the seed among them

@@ -28,8 +28,8 @@ from tissueid.inference.system import SHAPE, Point, System
 from tissueid.inference.window import MIN_SAMPLES
 from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
 
-#: Relative difference of sums of squares, and of ln tau in standard errors, within which optima agree.
-AGREE_VALUE, AGREE_SD = 1e-6, 0.1
+#: Standard errors within which optima agree: of ln tau, and squared of the objective, which one lifts by 1.
+AGREE_SD = 0.1
 #: ln tau starts at the nearest multiple of this, other parameters so far off, relatively.
 START_GRID, START_OFF = 0.5, 0.05
 MAX_EVALUATIONS, TOLERANCE = 300, 1e-10
@@ -37,6 +37,8 @@ MAX_EVALUATIONS, TOLERANCE = 300, 1e-10
 RESTARTED = 100
 #: Twice the log density by which its optimum must be better: less is within one standard error.
 LOWER = 1.0
+#: Share of the walls by which a point may lie beyond them.
+WALL = 1e-6
 #: Parameters and residuals are kept below this; what is as small beside the largest is nothing.
 BEYOND, ROUNDING = 1e12, 1e-12
 #: ln tau is kept within this.
@@ -123,7 +125,7 @@ def settled(identified: Identified) -> tuple[Identified, dict[str, Any]]:
 def _outside(prior: PriorRows, point: Point) -> bool:
     """True where a point lies beyond a wall by more than rounding."""
     shared = np.abs(point.shared)
-    rounding = AGREE_VALUE * (np.abs(prior.cone) @ shared) + ROUNDING * shared.max()
+    rounding = WALL * (np.abs(prior.cone) @ shared) + ROUNDING * shared.max()
     return bool((prior.cone @ point.shared < prior.least - rounding).any())
 
 
@@ -159,7 +161,9 @@ def both_optimisers(identified: Identified) -> tuple[dict[str, Any], Point]:
     difference = (lm_value - value) / max(value, 1e-300)
     sd = np.sqrt(np.maximum(np.diag(identified.optimum.covariance)[:t], 1e-24))
     apart = float((np.abs(np.sort(reached[:t]) - np.sort(problem.start[:t])) / sd).max(initial=0.0))
-    agree = bool(abs(difference) <= AGREE_VALUE or apart <= AGREE_SD)
+    # times that are not known are close to anything
+    raised = abs(lm_value - value)
+    agree = bool(raised <= AGREE_SD**2 or (raised <= LOWER and apart <= AGREE_SD))
     at_bound, prior = bool(problem.free.shape[1] < identified.law.linear), identified.optimum.prior
     point = problem.point(reached)
     # Levenberg-Marquardt knows no bounds: lower and not passive is no other optimum
