@@ -15,8 +15,7 @@ class TissueStepper:
 
     def __init__(self, model: ChannelModel, theta: FloatArray) -> None:
         if not model.is_passive(theta):
-            msg = "theta is not passive (F_s or K negative somewhere): it can't be rendered"
-            raise ValueError(msg)
+            raise ValueError("theta is not passive (F_s or K negative somewhere): it can't be rendered")
         self._law = servo_law(model, theta).packed()
         self._state = np.zeros(STATE_SIZE)
 

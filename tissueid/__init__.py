@@ -67,5 +67,4 @@ def __getattr__(name: str) -> Any:
         from importlib import import_module
 
         return getattr(import_module(_LAZY[name]), name)
-    msg = f"module 'tissueid' has no attribute {name!r}"
-    raise AttributeError(msg)
+    raise AttributeError(f"module 'tissueid' has no attribute {name!r}")

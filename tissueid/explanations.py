@@ -99,8 +99,7 @@ def explain(name: str) -> Explanation:
         return known[plain]
     near = get_close_matches(plain, known, n=3, cutoff=0.5)
     hint = f"did you mean {' or '.join(near)}?" if near else "`tissueid explain` lists what it knows"
-    msg = f"{name!r} is no flag, parameter or exit code; {hint}"
-    raise UsageError(msg)
+    raise UsageError(f"{name!r} is no flag, parameter or exit code; {hint}")
 
 
 def gravity(code: str) -> str:

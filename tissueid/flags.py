@@ -377,8 +377,7 @@ class Flag:
 
     def __init__(self, code: str, message: str, values: Mapping[str, Any] = MappingProxyType({})) -> None:
         if code not in FLAGS:
-            msg = f"unknown flag code {code!r}"
-            raise ValueError(msg)
+            raise ValueError(f"unknown flag code {code!r}")
         self.code, self.message, self.values = code, message, dict(values)
 
     def __repr__(self) -> str:

@@ -205,8 +205,7 @@ class _Reported:
             if name in {one.name, one.symbol}:
                 return one
         known = ", ".join(f"{one.symbol} ({one.name})" for one in self.result.parameters)
-        msg = f"no parameter {name!r}; there are {known}"
-        raise KeyError(msg)
+        raise KeyError(f"no parameter {name!r}; there are {known}")
 
     @property
     def flags(self) -> tuple[Flag, ...]:
@@ -376,8 +375,7 @@ class Marginal:
         Raises ValueError: the level is no share.
         """
         if not 0.0 < level < 1.0:
-            msg = f"an interval holds a share between 0 and 1 of the draws, got {level:g}"
-            raise ValueError(msg)
+            raise ValueError(f"an interval holds a share between 0 and 1 of the draws, got {level:g}")
         if level == 0.95:
             return self.uncertainty.ci95_total or self.uncertainty.ci95
         low, high = np.quantile(self.values, (0.5 - 0.5 * level, 0.5 + 0.5 * level))
@@ -522,8 +520,7 @@ def render(
     from tissueid.rendering.session import Session
 
     if not Path(bundle).is_file():
-        msg = f"{bundle}: there is no such bundle; Bundle(fit).save({str(bundle)!r}) writes one"
-        raise BundleError(msg)
+        raise BundleError(f"{bundle}: there is no such bundle; Bundle(fit).save({str(bundle)!r}) writes one")
     load_bundle(bundle)
     virtual = device == "sim" and seconds is None
     plan = plan_session(

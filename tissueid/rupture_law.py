@@ -38,8 +38,7 @@ class RuptureLaw:
 
     def __post_init__(self) -> None:
         if self.criterion not in CRITERIA:
-            msg = f"no criterion of rupture {self.criterion!r}; there are {', '.join(CRITERIA)}"
-            raise ValueError(msg)
+            raise ValueError(f"no criterion of rupture {self.criterion!r}; there are {', '.join(CRITERIA)}")
         if not (self.threshold > 0.0 and self.weight >= 0.0 and 0.0 <= self.residual <= 1.0):
             msg = (
                 "a threshold must be above 0, a weight not below 0 and a residual share within 0 to 1, got "

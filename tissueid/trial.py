@@ -150,17 +150,14 @@ class Trial(Shown):
                 raise ValueError(msg)
             if not np.isfinite(array).all():
                 first = int(np.flatnonzero(~np.isfinite(array))[0])
-                msg = f"{name}[{first}] is {array[first]}, every sample must be finite"
-                raise ValueError(msg)
+                raise ValueError(f"{name}[{first}] is {array[first]}, every sample must be finite")
             object.__setattr__(self, name, array)
         if not self.time_s.size == self.displacement_mm.size == self.force_N.size:
-            msg = "time_s, displacement_mm and force_N differ in length"
-            raise ValueError(msg)
+            raise ValueError("time_s, displacement_mm and force_N differ in length")
         if (np.diff(self.time_s) < 0).any():
             first = int(np.flatnonzero(np.diff(self.time_s) < 0)[0])
             here, then = self.time_s[first : first + 2]
-            msg = f"time_s falls from {here} to {then} s at sample {first + 1}"
-            raise ValueError(msg)
+            raise ValueError(f"time_s falls from {here} to {then} s at sample {first + 1}")
         object.__setattr__(self, "flags", tuple(self.flags))
 
     @property
@@ -273,8 +270,7 @@ def contact_frame(trial: Trial, segmentation: Segmentation) -> tuple[FloatArray,
     """
     contact = segmentation.contact
     if contact is None:
-        msg = f"{trial.name}: no contact point, so there is no contact frame"
-        raise ValueError(msg)
+        raise ValueError(f"{trial.name}: no contact point, so there is no contact frame")
     depth = segmentation.compression_sign * (trial.displacement_mm - contact.displacement_mm)
     force = segmentation.force_sign * (trial.force_N - contact.baseline_N)
     return depth, force

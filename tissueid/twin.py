@@ -213,8 +213,7 @@ def emulated_falcon(tissue: Tissue, program: Program, *, force_scale: float, mot
             depth = (surface[2] - falcon.position_m[2]) / motion * 1e3
             rows.append((falcon.time_s - start, depth, falcon.force_N[2] / force_scale))
         if device.state is not State.ENGAGED:
-            msg = f"the emulated session ended in {device.fault.name.lower()}"
-            raise DeviceError(msg)
+            raise DeviceError(f"the emulated session ended in {device.fault.name.lower()}")
     time, depth, force = np.array(rows).T
     return Felt("emulated Falcon", time, depth, force, LATE_S, COUNT_MM / motion)
 
@@ -417,8 +416,7 @@ def _refit(bundle: Bundle, program: Program, felt: Felt, path: Path) -> Specimen
         ),
     )
     if not found.specimens:
-        msg = f"the recording at the grip can't be fitted: {found.exit.reasons[0]}"
-        raise DeviceError(msg)
+        raise DeviceError(f"the recording at the grip can't be fitted: {found.exit.reasons[0]}")
     return found.specimens[0]
 
 

@@ -136,8 +136,7 @@ def factor_to(unit_text: str, quantity: Quantity) -> float:
     ValueError: unknown unit, or a unit of something else; the message names it and what would do.
     """
     if quantity not in get_args(Quantity):
-        msg = f"unknown quantity {quantity!r}, one of {', '.join(get_args(Quantity))}"
-        raise ValueError(msg)
+        raise ValueError(f"unknown quantity {quantity!r}, one of {', '.join(get_args(Quantity))}")
     unit = bare_unit(unit_text)
     internal = INTERNAL_UNITS[quantity]
     if unit == internal:
@@ -147,8 +146,7 @@ def factor_to(unit_text: str, quantity: Quantity) -> float:
         return known[1]
     parsed = _parsed(unit)
     if parsed is None:
-        msg = f"unknown unit {unit!r} of {quantity}: write a unit such as {_examples(quantity)}"
-        raise ValueError(msg)
+        raise ValueError(f"unknown unit {unit!r} of {quantity}: write a unit such as {_examples(quantity)}")
     if parsed.dimensionality != _registry().parse_units(internal).dimensionality:
         msg = f"unit {unit!r} does not measure {quantity}: write a unit such as {_examples(quantity)}"
         raise ValueError(msg)

@@ -25,8 +25,7 @@ class Direct:
 
     def write(self, data: bytes) -> None:
         if self.falcon.gone:
-            msg = "gone"
-            raise TransportLost(msg)
+            raise TransportLost("gone")
         if data == HELLO and self._silent_hellos > 0:
             self._silent_hellos -= 1
             return

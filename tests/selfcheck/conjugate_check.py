@@ -27,8 +27,7 @@ class NormalMean:
     def __call__(self, rng: np.random.Generator) -> Replicate:
         truth = PRIOR_SD * rng.standard_normal()
         if truth > self.fails_above:
-            msg = "no posterior here"
-            raise ArithmeticError(msg)
+            raise ArithmeticError("no posterior here")
         time.sleep(self.pause_s)
         seen = truth + NOISE_SD * rng.standard_normal()
         weight = PRIOR_SD**2 / (PRIOR_SD**2 + NOISE_SD**2)

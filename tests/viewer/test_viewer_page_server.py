@@ -25,14 +25,12 @@ class Asked:
 
     def page(self) -> str:
         if self.broken:
-            msg = "study.toml, line 3: no"
-            raise UsageError(msg)
+            raise UsageError("study.toml, line 3: no")
         return "<p>the page</p>"
 
     def decide(self, words: Mapping[str, Any]) -> str:
         if not words:
-            msg = "nothing was decided"
-            raise UsageError(msg)
+            raise UsageError("nothing was decided")
         self.words.append(words)
         return "done"
 

@@ -312,8 +312,7 @@ def _from_text(option: click.Option, text: str) -> Any:
         try:
             told = bool(click.BOOL.convert(text, option, None))
         except click.BadParameter as error:
-            msg = "must be 1 or 0"
-            raise click.BadParameter(msg) from error
+            raise click.BadParameter("must be 1 or 0") from error
         return int(told) if option.count else told
     values = text.split(",") if option.multiple else [text]
     for value in values:

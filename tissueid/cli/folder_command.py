@@ -178,8 +178,7 @@ def _written(target: str | None, out: Path) -> tuple[str, bytes]:
         try:
             text = report_page(read_plain(out), curves, posteriors, twin=twin, created=created)
         except ModelNameError as error:
-            msg = f"{out}: {error}"
-            raise BundleError(msg) from error
+            raise BundleError(f"{out}: {error}") from error
         page = text.encode("utf-8")
     if target is not None:
         write_output(target, page)

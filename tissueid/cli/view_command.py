@@ -81,8 +81,7 @@ def _play(flags: _ViewFlags, path: Path) -> int:
     except KeyboardInterrupt:
         return 0
     # it ends with us; before us only where something took it away
-    msg = "the viewer's server ended by itself"
-    raise DeviceError(msg)
+    raise DeviceError("the viewer's server ended by itself")
 
 
 #: One of these is set where a browser has a screen.

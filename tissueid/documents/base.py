@@ -77,8 +77,7 @@ def typed(document: Any, kind: type[_T]) -> _T:
 def _flag(kind: type[Any], document: Any) -> Any:
     if kind is Flag and isinstance(document, Mapping):
         return Flag.read(document)
-    msg = f"a document holds no {kind.__name__}"
-    raise NotImplementedError(msg)
+    raise NotImplementedError(f"a document holds no {kind.__name__}")
 
 
 def plain(document: Any) -> Any:
@@ -105,5 +104,4 @@ def _members(value: Any) -> Any:
         return dict(value)
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    msg = f"{type(value).__name__} has no place in JSON: {value!r}"
-    raise TypeError(msg)
+    raise TypeError(f"{type(value).__name__} has no place in JSON: {value!r}")

@@ -67,8 +67,7 @@ class Item(Document, frozen=True):
 
     def __post_init__(self) -> None:
         if self.kind in ("reproduced", "given") and self.published is None:
-            msg = f"{self.item} is called {self.kind}, and no printed number stands beside it"
-            raise ValueError(msg)
+            raise ValueError(f"{self.item} is called {self.kind}, and no printed number stands beside it")
 
 
 class Band(Document, frozen=True):

@@ -191,8 +191,7 @@ class HapticDevice(ABC):
     def keep(self, file: Path | None, changes: Mapping[str, Any]) -> Path:
         """Put what was measured into the calibration file; its path."""
         del file, changes
-        msg = f"the device {self.name} keeps no calibration"
-        raise DeviceError(msg)
+        raise DeviceError(f"the device {self.name} keeps no calibration")
 
     def home(self) -> None:  # noqa: B027 - most devices need no hand for it
         """Lead the user through homing after ``open``; nothing to do where a device needs no hand for it."""
@@ -217,8 +216,7 @@ class HapticDevice(ABC):
     def open(self) -> None:
         """Open the device, which then wants homing; DeviceError, with the way out, where it can't be."""
         if self.state is not State.CLOSED:
-            msg = f"{self.name}: is open already"
-            raise DeviceError(msg)
+            raise DeviceError(f"{self.name}: is open already")
         machine.transition(self.guard_memory, self._limits, machine.OPENED)
         try:
             self._open()
@@ -289,8 +287,7 @@ class HapticDevice(ABC):
         self._must_be_open()
         force = np.asarray(force_N, np.float64)
         if force.shape != (3,):
-            msg = f"force_N must have shape (3,), has {force.shape}"
-            raise ValueError(msg)
+            raise ValueError(f"force_N must have shape (3,), has {force.shape}")
         machine.guard(self.guard_memory, self._limits, force, float(dt_s), self._out)
         try:
             self._write(self._out)
@@ -327,8 +324,7 @@ class HapticDevice(ABC):
             self.while_waiting()
             self.read()
             if self.state is State.FAULT:
-                msg = f"homing ended: {FAULT_WORDS[self.fault]}"
-                raise DeviceError(msg)
+                raise DeviceError(f"homing ended: {FAULT_WORDS[self.fault]}")
             self.write_force(zero, TICK_S)
             time.sleep(TICK_S)
 
@@ -339,8 +335,7 @@ class HapticDevice(ABC):
 
     def _must_be_open(self) -> None:
         if self.state is State.CLOSED:
-            msg = f"{self.name}: is closed; call open() first"
-            raise DeviceError(msg)
+            raise DeviceError(f"{self.name}: is closed; call open() first")
 
 
 #: Words of a reading: what came (:mod:`tissueid.haptics.guard`), whether homed, buttons, and commands
@@ -395,7 +390,6 @@ def declared(library: Any, prototypes: Mapping[str, tuple[Any, list[Any]]], comp
         try:
             symbol = getattr(library, function)
         except AttributeError as error:
-            msg = f"{complaint}: it has no {function}"
-            raise DeviceError(msg) from error
+            raise DeviceError(f"{complaint}: it has no {function}") from error
         symbol.restype, symbol.argtypes = result, arguments
     return library

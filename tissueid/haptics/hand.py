@@ -58,14 +58,11 @@ class Hand:
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.times_s) <= layout.MAX_KNOTS:
-            msg = f"a hand has 1 to {layout.MAX_KNOTS} knots, this one {len(self.times_s)}"
-            raise ValueError(msg)
+            raise ValueError(f"a hand has 1 to {layout.MAX_KNOTS} knots, this one {len(self.times_s)}")
         if not len(self.times_s) == len(self.positions_m) == len(self.grips):
-            msg = "a hand needs a time, a position and a grip at each knot"
-            raise ValueError(msg)
+            raise ValueError("a hand needs a time, a position and a grip at each knot")
         if not np.isfinite(self.knots()).all() or (np.diff(self.times_s) <= 0.0).any():
-            msg = f"times of a hand must rise and all numbers be finite: {self.times_s}"
-            raise ValueError(msg)
+            raise ValueError(f"times of a hand must rise and all numbers be finite: {self.times_s}")
 
     @property
     def start_m(self) -> FloatArray:

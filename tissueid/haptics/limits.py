@@ -36,8 +36,7 @@ def uncalibrated_clamp_N(units_per_Nm: float) -> float:
     2.6 N for the usual 6600.  Raises ValueError: the constant is not positive.
     """
     if not units_per_Nm > 0.0:
-        msg = f"units_per_Nm must be positive, is {units_per_Nm}"
-        raise ValueError(msg)
+        raise ValueError(f"units_per_Nm must be positive, is {units_per_Nm}")
     return min(UNCALIBRATED_N, UNCALIBRATED_N * WORST_UNITS_PER_NM / units_per_Nm)
 
 
@@ -102,11 +101,9 @@ class GuardLimits:
             ("engage_below_N", self.engage_below_N, 0.2),
         ):
             if value > largest:
-                msg = f"{name} must be at most {largest}, is {value}"
-                raise ValueError(msg)
+                raise ValueError(f"{name} must be at most {largest}, is {value}")
         if self.ramp_s < SHORTEST_RAMP_S:
-            msg = f"ramp_s must be at least {SHORTEST_RAMP_S} s, is {self.ramp_s}"
-            raise ValueError(msg)
+            raise ValueError(f"ramp_s must be at least {SHORTEST_RAMP_S} s, is {self.ramp_s}")
 
     @classmethod
     def simulated(cls) -> GuardLimits:

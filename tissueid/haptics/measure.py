@@ -63,8 +63,7 @@ def record(device: HapticDevice, law: Law, duration_s: float) -> Motion:
     while not times or times[-1] < duration_s:
         sample = device.read()
         if device.state is State.FAULT:
-            msg = f"{device.name}: {FAULT_WORDS[device.fault]}"
-            raise DeviceError(msg)
+            raise DeviceError(f"{device.name}: {FAULT_WORDS[device.fault]}")
         if last is None:
             last, begin, before = sample.position_m.copy(), sample.time_s, sample.time_s - TICK_S
         dt = sample.time_s - before
@@ -128,8 +127,7 @@ def measure_link(device: HapticDevice, duration_s: float = 5.0) -> Test:
             trips.append(time.monotonic() - sent)
     elapsed = time.monotonic() - begin
     if not trips:
-        msg = f"the device answered none of {commands} commands; is its power supply plugged in?"
-        raise DeviceError(msg)
+        raise DeviceError(f"the device answered none of {commands} commands; is its power supply plugged in?")
     median, high, largest = np.quantile(trips, [0.5, 0.95, 1.0])
     usual = sorted(trips)[: math.ceil(USUAL_SHARE * len(trips))]
     ticks = np.mean([max(1, math.ceil(trip / TICK_S)) for trip in usual])
@@ -369,8 +367,7 @@ def estimate_arm(motion: Motion, delay_s: float) -> ArmEstimate:
     rows = np.concatenate([left for left, _ in balances])
     right = np.concatenate([force for _, force in balances])
     if len(right) < 4 * JUMPS:
-        msg = "the grip hardly moved: is it free, and the device engaged?"
-        raise DeviceError(msg)
+        raise DeviceError("the grip hardly moved: is it free, and the device engaged?")
     mass, damping, friction, _ = np.linalg.lstsq(rows, right, rcond=None)[0]
     # the windows of one jump share errors: leave each jump out in turn
     of_jump = np.repeat(np.arange(JUMPS), [force.size for _, force in balances])
@@ -380,8 +377,7 @@ def estimate_arm(motion: Motion, delay_s: float) -> ArmEstimate:
     ]
     stderr = math.sqrt((JUMPS - 1) * float(np.var(without)))
     if not mass > 0.0:
-        msg = f"the swing makes no sense (a mass of {mass:.3f} kg): was a hand on the grip?"
-        raise DeviceError(msg)
+        raise DeviceError(f"the swing makes no sense (a mass of {mass:.3f} kg): was a hand on the grip?")
     return ArmEstimate(float(mass), float(damping), float(friction), stderr)
 
 

@@ -93,8 +93,7 @@ class ParameterBlock(Shared):
     def write(self, parameters: FloatArray) -> int:
         """Publish finite parameters (size,); their version, or DeviceError while the last are not taken."""
         if parameters.shape != self.values.shape[1:] or not np.isfinite(parameters).all():
-            msg = f"parameters must be {self.values.shape[1]} finite numbers"
-            raise ValueError(msg)
+            raise ValueError(f"parameters must be {self.values.shape[1]} finite numbers")
         version = self.published
         if version != self.taken:
             msg = "the last parameters are still waiting for a moment at which nothing is touched"

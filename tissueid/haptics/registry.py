@@ -121,8 +121,7 @@ def environment_law(name: str) -> Callable[..., Any]:
     for entry in laws.select(name=name):
         law = _loaded("force law", name, entry.load)
         if not callable(law):
-            msg = f"force law {name!r}: its entry point is {type(law).__name__}, not a function"
-            raise DeviceError(msg)
+            raise DeviceError(f"force law {name!r}: its entry point is {type(law).__name__}, not a function")
         return law  # type: ignore[no-any-return]
     there = ", ".join(sorted(laws.names)) or "none"
     msg = f"no force law named {name!r}; installed: {there} (entry-point group {ENVIRONMENT_GROUP})"
@@ -157,14 +156,12 @@ def check_present(name: str, port: object = None) -> None:
     """Refuse, with the way out, hardware that is missing or hindered, before anybody is asked anything."""
     if port is not None:
         if isinstance(port, str) and port.startswith("/") and not Path(port).exists():
-            msg = f"{port}: there is no such device; is it plugged in, or the emulator running?"
-            raise DeviceError(msg)
+            raise DeviceError(f"{port}: there is no such device; is it plugged in, or the emulator running?")
         return
     if name not in HARDWARE:
         return
     found = device_class(name).detect()
     if not found:
-        msg = f"no {name} was found on this machine; plug it in and see `tissueid devices list`"
-        raise DeviceError(msg)
+        raise DeviceError(f"no {name} was found on this machine; plug it in and see `tissueid devices list`")
     if all(one.note for one in found):
         raise DeviceError("; ".join(f"{name} at {one.where}: {one.note}" for one in found))

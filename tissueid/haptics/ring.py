@@ -53,8 +53,7 @@ def counted(descriptor: int, magic: int, bytes_each: int, what: str) -> int:
         said, count = np.frombuffer(os.pread(descriptor, HEAD_BYTES, 0), np.int64)[:2].tolist()
         if said == magic and size == HEAD_BYTES + count * bytes_each:
             return int(count)
-    msg = f"descriptor {descriptor} is no {what} of a servo"
-    raise DeviceError(msg)
+    raise DeviceError(f"descriptor {descriptor} is no {what} of a servo")
 
 
 _KEEPS_ORDER = platform.machine().lower() in {"x86_64", "amd64"}

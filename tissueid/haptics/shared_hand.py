@@ -53,8 +53,7 @@ class SharedHand(Shared):
     def attach(cls, descriptor: int) -> SharedHand:
         """The memory behind a descriptor; DeviceError if it has another size."""
         if os.fstat(descriptor).st_size != BYTES:
-            msg = f"descriptor {descriptor} is no hand of a simulated device"
-            raise DeviceError(msg)
+            raise DeviceError(f"descriptor {descriptor} is no hand of a simulated device")
         return cls._mapped(descriptor)
 
     @classmethod
@@ -65,8 +64,7 @@ class SharedHand(Shared):
         """Lead the hand to a point of the device's frame [m]; ValueError: not three finite numbers."""
         point = np.asarray(position_m, dtype=np.float64)
         if point.shape != (3,) or not np.isfinite(point).all():
-            msg = f"a pointer needs three finite coordinates, not {position_m!r}"
-            raise ValueError(msg)
+            raise ValueError(f"a pointer needs three finite coordinates, not {position_m!r}")
         for axis in range(3):
             self.parameters[POINTER + axis] = point[axis]
         self.parameters[POINTER_ON] = 1.0

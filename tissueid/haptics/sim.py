@@ -303,8 +303,7 @@ class ReplayDevice(HapticDevice):
 
     def _open(self) -> None:
         if self._log is None:
-            msg = "replay: no log was named; give one with --replay LOG"
-            raise DeviceError(msg)
+            raise DeviceError("replay: no log was named; give one with --replay LOG")
         self._started_s = None
 
     def _close(self) -> None:

@@ -61,8 +61,7 @@ def _chains(name: str, values: FloatArray) -> FloatArray:
         msg = f"{name}: draws of shape {np.shape(values)}; at least {_LEAST_DRAWS} of each chain are needed"
         raise ValueError(msg)
     if not np.isfinite(array).all():
-        msg = f"{name}: {np.count_nonzero(~np.isfinite(array))} draws are not finite"
-        raise ValueError(msg)
+        raise ValueError(f"{name}: {np.count_nonzero(~np.isfinite(array))} draws are not finite")
     return array
 
 

@@ -52,8 +52,7 @@ class LogHandle:
         trial = self.load()
         log = self.own_window(trial)
         if log is None:
-            msg = f"{trial.name} changed while it was being fitted"
-            raise RuntimeError(msg)
+            raise RuntimeError(f"{trial.name} changed while it was being fitted")
         if self.hold_share < 1.0:
             log = with_holds_cut(log, self.segmentation.of_kind("hold"), self.hold_share)
         return trial, log

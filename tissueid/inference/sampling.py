@@ -247,8 +247,7 @@ def sample(
     points, log_weight, weighed = _weighed(target, proposal, draws, rng, kept, tell)
     poor = weighed.worth < WALKERS * FEWEST_STARTS
     if poor and not np.isfinite(log_weight).any():
-        msg = f"none of {len(points)} proposals is passive and fits"
-        raise ArithmeticError(msg)
+        raise ArithmeticError(f"none of {len(points)} proposals is passive and fits")
     weights = tempered(log_weight, START_WORTH) if poor else weighed.weights
     start = _started(target, points, weights, rng)
     shares = MOVES_IN_TAILS if weighed.pareto <= GOOD_TAILS else MOVES_ALONE if poor else MOVES

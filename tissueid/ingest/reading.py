@@ -72,23 +72,19 @@ def _installed_recipes() -> dict[str, Recipe]:
 
 def _checked(recipe: object, taken: set[str]) -> Recipe:
     if not isinstance(recipe, Recipe):
-        msg = f"it is a {type(recipe).__name__}, not a tissueid.ingest.Recipe"
-        raise TypeError(msg)
+        raise TypeError(f"it is a {type(recipe).__name__}, not a tissueid.ingest.Recipe")
     if not recipe.key or recipe.key in taken:
-        msg = f"its key {recipe.key!r} is taken; choose another"
-        raise ValueError(msg)
+        raise ValueError(f"its key {recipe.key!r} is taken; choose another")
     return recipe
 
 
 def _table(item: object) -> Table | InputError:
     if not isinstance(item, Table | InputError):
-        msg = f"it gave a {type(item).__name__}, not a Table"
-        raise TypeError(msg)
+        raise TypeError(f"it gave a {type(item).__name__}, not a Table")
     if isinstance(item, Table):
         missing = [channel for channel in CHANNELS if channel not in item.columns]
         if missing:
-            msg = f"its table names no column of {' and '.join(missing)}"
-            raise ValueError(msg)
+            raise ValueError(f"its table names no column of {' and '.join(missing)}")
         # a trial is made of it later; what that would refuse is the reader's fault
         Trial("", item.time_s, item.displacement_mm, item.force_N)
     return item

@@ -75,8 +75,7 @@ class Place:
     ) -> InputError:
         """An :class:`~tissueid.errors.InputError` at this place; ``line`` and ``column`` count from 1."""
         if code not in REFUSAL_MEANINGS:
-            msg = f"unknown refusal code {code!r}"
-            raise ValueError(msg)
+            raise ValueError(f"unknown refusal code {code!r}")
         return InputError(code, message, path=self.path, sheet=self.sheet, line=line, column=column)
 
     def refuse(

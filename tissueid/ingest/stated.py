@@ -46,15 +46,13 @@ def _temperature(value: float, unit: str) -> float:
         return value
     if unit == "K":
         return value - _KELVIN_AT_ZERO_C
-    msg = f"unit {unit!r} of temperature is not known: write C or K"
-    raise ValueError(msg)
+    raise ValueError(f"unit {unit!r} of temperature is not known: write C or K")
 
 
 def _of(table: Mapping[str, float]) -> Callable[[float, str], float]:
     def convert(value: float, unit: str) -> float:
         if unit not in table:
-            msg = f"unit {unit!r} is not known here: write one of {', '.join(table)}"
-            raise ValueError(msg)
+            raise ValueError(f"unit {unit!r} is not known here: write one of {', '.join(table)}")
         return value * table[unit]
 
     return convert
@@ -108,8 +106,7 @@ def canonical_key(key: str, value: Any, known: Mapping[str, Any]) -> str:
         raise ValueError(msg)
     near = get_close_matches(key, known, n=2, cutoff=0.5)
     hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(known)}"
-    msg = f"there is no key {key!r} here; {hint}"
-    raise ValueError(msg)
+    raise ValueError(f"there is no key {key!r} here; {hint}")
 
 
 def in_unit(key: str, text: str, *, shown: str | None = None) -> float:
@@ -127,8 +124,7 @@ def in_unit(key: str, text: str, *, shown: str | None = None) -> float:
             return _CONVERT[unit](float(match[1]), match[2])
         except ValueError as error:
             why = f": {error}"
-    msg = f'{key} = "{text}"{why}'
-    raise ValueError(msg)
+    raise ValueError(f'{key} = "{text}"{why}')
 
 
 #: Keys of a prior that are in the unit of its parameter.

@@ -69,8 +69,7 @@ def _guarded(parse: Callable[[], Any]) -> Any:
     except BaseException as error:
         if type(error).__name__ != "PanicException":
             raise
-        msg = f"the parser gave up: {error}"
-        raise ValueError(msg) from error
+        raise ValueError(f"the parser gave up: {error}") from error
 
 
 def _cells(workbook: Any, sheet: str, place: Place) -> Cells:

@@ -37,11 +37,9 @@ class Geometry:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.poisson <= 0.5:
-            msg = f"Poisson's ratio must be 0 to 0.5, is {self.poisson}"
-            raise ValueError(msg)
+            raise ValueError(f"Poisson's ratio must be 0 to 0.5, is {self.poisson}")
         if self.thickness_mm is not None and not self.thickness_mm > 0.0:
-            msg = f"a thickness must be positive, is {self.thickness_mm} mm"
-            raise ValueError(msg)
+            raise ValueError(f"a thickness must be positive, is {self.thickness_mm} mm")
 
     def contact(self, formula: str, depth_mm: float) -> Contact | None:
         """The contact at a depth by one formula."""

@@ -115,8 +115,7 @@ def _build(step_key: int, length_key: int) -> KernelBasis:
 def kernel_basis(*, step_s: float, length_s: float) -> KernelBasis:
     """The basis for a finest step and a longest duration; raises ValueError unless 0 < step < length."""
     if not 0.0 < step_s < length_s < math.inf:
-        msg = f"a basis needs 0 < step < length, got step {step_s} s and length {length_s} s"
-        raise ValueError(msg)
+        raise ValueError(f"a basis needs 0 < step < length, got step {step_s} s and length {length_s} s")
     return _build(math.floor(math.log(step_s) / QUANTUM), math.ceil(math.log(length_s) / QUANTUM))
 
 

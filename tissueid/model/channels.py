@@ -187,8 +187,7 @@ class ChannelModel:
     def _whole(self, theta: FloatArray) -> FloatArray:
         """Theta, refused where it has another length."""
         if np.shape(theta) != (len(self.parameters),):
-            msg = f"theta has shape {np.shape(theta)}, ({len(self.parameters)},) is needed"
-            raise ValueError(msg)
+            raise ValueError(f"theta has shape {np.shape(theta)}, ({len(self.parameters)},) is needed")
         return np.asarray(theta, dtype=np.float64)
 
     def _static_parts(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -76,8 +76,7 @@ def relaxation_of(function: Callable[..., Any]) -> FunctionRelaxation:
     """A relaxation law from ``f(t, tau, ...)``; ValueError where it has no time, is not 1 at 0, or rises."""
     names = _parameters(function)
     if not names:
-        msg = f"{function.__name__}: a relaxation is f(t, tau, ...), it has no relaxation time"
-        raise ValueError(msg)
+        raise ValueError(f"{function.__name__}: a relaxation is f(t, tau, ...), it has no relaxation time")
     tau = ParameterSpec("relaxation_time_s", names[0].name, "s", 0.0, np.inf, f"time of {function.__name__}")
     law = FunctionRelaxation(
         function,
@@ -92,8 +91,7 @@ def relaxation_of(function: Callable[..., Any]) -> FunctionRelaxation:
         raise ValueError(msg)
     rises = float(np.diff(values).max())
     if rises > ROUNDING:
-        msg = f"{function.__name__}: a relaxation does not rise; it does by {rises:.3g} with {at}"
-        raise ValueError(msg)
+        raise ValueError(f"{function.__name__}: a relaxation does not rise; it does by {rises:.3g} with {at}")
     return law
 
 
@@ -134,8 +132,7 @@ def _shape(one: inspect.Parameter, kind: str) -> Shape:
     except TypeError:
         low, high = 0.0, 0.0
     if not 0.0 < low < high:
-        msg = f"{one.name} is {given!r}; a default is a positive number, or bounds (low, high)"
-        raise ValueError(msg)
+        raise ValueError(f"{one.name} is {given!r}; a default is a positive number, or bounds (low, high)")
     starts = tuple(float(low ** (1.0 - at) * high**at) for at in STARTS)
     spec = ParameterSpec(f"{kind}_{one.name}", one.name, "1", float(low), float(high), "of the function")
     return Shape(spec, starts if isinstance(given, tuple) else (float(given),))
@@ -208,8 +205,7 @@ class ContactModel:
         damping: str | None = None,
     ) -> None:
         if damping is not None and (stiffness, relaxation) != (Polynomial(0), Prony(1)):
-            msg = f"{damping} damps the static law itself: leave stiffness and relaxation out"
-            raise ValueError(msg)
+            raise ValueError(f"{damping} damps the static law itself: leave stiffness and relaxation out")
         moving = (stiffness, "stiffness"), (relaxation, "relaxation")
         words = [_word(part, kind) for part, kind in moving] if damping is None else [damping]
         words.insert(0, _word(static, "static"))
@@ -236,8 +232,7 @@ def _word(part: Part, kind: str) -> str:
         return tuple(DEGREES)[part.degree]
     of = {"static": static_of, "relaxation": relaxation_of}.get(kind)
     if of is None or isinstance(part, Polynomial | Prony):
-        msg = f"{part!r} can't stand here; `tissueid models` lists the laws and their places"
-        raise ValueError(msg)
+        raise ValueError(f"{part!r} can't stand here; `tissueid models` lists the laws and their places")
     law = of(part)
     register(law)
     return str(law.about.key)

@@ -61,8 +61,7 @@ class Named:
     def model(self, depth_mm: float, resolution_s: float, window_s: float) -> ChannelModel:
         """The model of its parts for a depth and a range of times."""
         if self.parts is None:
-            msg = f"{self.name} is not made of three parts"
-            raise ValueError(msg)
+            raise ValueError(f"{self.name} is not made of three parts")
         static, stiffness, relaxation = self.parts
         kind = DampedModel if self.damped else ChannelModel
         return kind(static, stiffness, relaxation, depth_mm, resolution_s, window_s, self.name)
@@ -85,8 +84,7 @@ _OWN: dict[str, Any] = {}
 def register(law: Any) -> None:
     """Make a law known to this process; ModelNameError where one that is installed has its key."""
     if law.about.key in _installed()[0]:
-        msg = f"contact law {law.about.key!r} is registered already; choose another name"
-        raise ModelNameError(msg)
+        raise ModelNameError(f"contact law {law.about.key!r} is registered already; choose another name")
     _OWN[law.about.key] = law
 
 
@@ -106,11 +104,9 @@ def _installed() -> tuple[Mapping[str, Any], Mapping[str, str]]:
         """Take a law; raise what one likes where it is none, or its key is taken."""
         about = getattr(law, "about", None)
         if not isinstance(law, type) or not isinstance(about, About) or about.kind not in KINDS:
-            msg = f"it is no class with an About of kind {', '.join(KINDS)}"
-            raise TypeError(msg)
+            raise TypeError(f"it is no class with an About of kind {', '.join(KINDS)}")
         if about.key in found:
-            msg = f"contact law {about.key!r} is registered already; choose another key"
-            raise ModelNameError(msg)
+            raise ModelNameError(f"contact law {about.key!r} is registered already; choose another key")
         _row(about, _specs(law))
         found[about.key] = law
 
@@ -148,13 +144,11 @@ def rebuilt(choice: ModelChoice, depth_mm: float) -> ChannelModel:
     if choice.key == YARDSTICK:
         return yardstick_of(depth_mm, choice.inside_s, choice.outside_s)
     if choice.range_s is None:
-        msg = f"{choice.key}: the times that its relaxation was looked at are missing"
-        raise ValueError(msg)
+        raise ValueError(f"{choice.key}: the times that its relaxation was looked at are missing")
     try:
         named = parsed(choice.name or choice.key)
     except ModelNameError as error:
-        msg = f"{error}. {MISSING_LAW}"
-        raise ModelNameError(msg) from None
+        raise ModelNameError(f"{error}. {MISSING_LAW}") from None
     return named.model(depth_mm, *choice.range_s)
 
 
@@ -218,13 +212,11 @@ def _law(word: str, kind: str, name: str) -> Any:
         return law()
     if key not in ARGUMENTS or not argument.isdecimal():
         takes = f"a number, as in {key}:{ARGUMENTS[key]}" if key in ARGUMENTS else "no argument"
-        msg = f"{name!r}: {key} takes {takes}, got {argument!r}"
-        raise ModelNameError(msg)
+        raise ModelNameError(f"{name!r}: {key} takes {takes}, got {argument!r}")
     try:
         return law(int(argument))
     except ValueError as error:
-        msg = f"{name!r}: {error}"
-        raise ModelNameError(msg) from None
+        raise ModelNameError(f"{name!r}: {error}") from None
 
 
 def parsed(name: str) -> Named:
@@ -236,13 +228,11 @@ def parsed(name: str) -> Named:
         return Named(name, mark=True)
     if len(words) not in {2, 3} or not all(words):
         form = f"STATIC * [STIFFNESS *] RELAXATION, as in 'power * prony:2', {KELVIN_VOIGT} or {YARDSTICK}"
-        msg = f"{name!r} is no model: {form}"
-        raise ModelNameError(msg)
+        raise ModelNameError(f"{name!r} is no model: {form}")
     last = known_laws().get(words[-1])
     damped = last is not None and last.about.kind == "damping"
     if damped and len(words) == 3:
-        msg = f"{name!r}: {words[2]} damps the static law itself; leave {words[1]} out"
-        raise ModelNameError(msg)
+        raise ModelNameError(f"{name!r}: {words[2]} damps the static law itself; leave {words[1]} out")
     if len(words) == 2:
         words.insert(1, "tangent" if damped else "constant")
     kinds = (*KINDS[:2], KINDS[2 + damped])

@@ -25,14 +25,11 @@ def kelvin_voigt(branches: int, stiffness_degree: int, depth_mm: float) -> Chann
     Passivity is demanded on [0, depth_mm]; beyond it F_s goes on with its end slope, K where it grows.
     """
     if not 0 <= branches <= MAX_BRANCHES:
-        msg = f"{branches} branches are not offered, 0 to {MAX_BRANCHES} are"
-        raise ValueError(msg)
+        raise ValueError(f"{branches} branches are not offered, 0 to {MAX_BRANCHES} are")
     if not 0 <= stiffness_degree < len(STIFFNESS):
-        msg = f"degree {stiffness_degree} of K is not offered, 0 to {len(STIFFNESS) - 1} are"
-        raise ValueError(msg)
+        raise ValueError(f"degree {stiffness_degree} of K is not offered, 0 to {len(STIFFNESS) - 1} are")
     if not depth_mm > 0.0:
-        msg = f"depth_mm must be positive, is {depth_mm}"
-        raise ValueError(msg)
+        raise ValueError(f"depth_mm must be positive, is {depth_mm}")
     kind = ChannelModel if branches else ElasticModel
     return kind(
         static=Polynomial(STATIC_DEGREE),

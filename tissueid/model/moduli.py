@@ -90,8 +90,7 @@ def flat_factor(a_over_h: float, poisson: float, *, bonded: bool = True) -> floa
 
 def _check(a_over_h: float) -> None:
     if not 0.0 <= a_over_h <= MOST_A_OVER_H:
-        msg = f"a/h = {a_over_h:.3g} is outside 0 to {MOST_A_OVER_H:g}, where the layer is solved"
-        raise ValueError(msg)
+        raise ValueError(f"a/h = {a_over_h:.3g} is outside 0 to {MOST_A_OVER_H:g}, where the layer is solved")
 
 
 def _bisected(grows: Callable[[float], float], value: float, high: float, halvings: int) -> float:
@@ -135,14 +134,11 @@ class Indenter:
 
     def __post_init__(self) -> None:
         if self.shape not in SHAPES:
-            msg = f"tip shape {self.shape!r} is not offered, {', '.join(SHAPES)} are"
-            raise ValueError(msg)
+            raise ValueError(f"tip shape {self.shape!r} is not offered, {', '.join(SHAPES)} are")
         if self.shape == "cone" and not (self.half_angle_deg and 0.0 < self.half_angle_deg < 90.0):
-            msg = f"a cone needs a half angle between 0 and 90 degrees, got {self.half_angle_deg}"
-            raise ValueError(msg)
+            raise ValueError(f"a cone needs a half angle between 0 and 90 degrees, got {self.half_angle_deg}")
         if self.shape != "cone" and not (self.radius_mm and 0.0 < self.radius_mm < math.inf):
-            msg = f"a {self.shape} needs a radius above 0 mm, got {self.radius_mm}"
-            raise ValueError(msg)
+            raise ValueError(f"a {self.shape} needs a radius above 0 mm, got {self.radius_mm}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,13 +176,11 @@ def contact_of(
 ) -> Contact | None:
     """The contact a formula describes; ``None`` where it has no solution for these numbers."""
     if not 0.0 <= poisson <= 0.5:
-        msg = f"Poisson's ratio must be 0 to 0.5, is {poisson}"
-        raise ValueError(msg)
+        raise ValueError(f"Poisson's ratio must be 0 to 0.5, is {poisson}")
     if formula not in {"hayes", "dimitriadis"}:
         a, factor = _half_space(formula, indenter, depth_mm)
     elif thickness_mm is None or not thickness_mm > 0.0:
-        msg = f"{formula} needs the thickness of the layer"
-        raise ValueError(msg)
+        raise ValueError(f"{formula} needs the thickness of the layer")
     elif formula == "dimitriadis":
         a, factor = _dimitriadis(indenter, depth_mm, thickness_mm, poisson, bonded=bonded)
     else:
@@ -262,8 +256,7 @@ def _dimitriadis(
     flagged.
     """
     if tip.shape != "sphere" or tip.radius_mm is None:
-        msg = f"dimitriadis describes a sphere, not a {tip.shape}"
-        raise ValueError(msg)
+        raise ValueError(f"dimitriadis describes a sphere, not a {tip.shape}")
     nu = poisson
     if bonded:
         alpha = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1.0 - nu)

@@ -89,8 +89,7 @@ def rupture_at_speed(
     Raises ValueError: no such criterion.
     """
     if criterion not in CRITERIA:
-        msg = f"no criterion of rupture {criterion!r}; there are {', '.join(CRITERIA)}"
-        raise ValueError(msg)
+        raise ValueError(f"no criterion of rupture {criterion!r}; there are {', '.join(CRITERIA)}")
     depth = np.linspace(0.0, model.depth_mm, RAMP_DEPTHS)
     measures = rupture_measures(model, theta, ContactPath(depth / speed_mm_s, depth))
     reached = measures[criterion] >= threshold

@@ -92,15 +92,12 @@ class Guidance:
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.numbers()).all():
-            msg = f"every number of a guided axis must be finite: {self}"
-            raise ValueError(msg)
+            raise ValueError(f"every number of a guided axis must be finite: {self}")
         pull, bone = self.pull, self.bone
         if not (0.0 <= pull.far_N_per_m <= pull.near_N_per_m and pull.reach_m > 0.0):
-            msg = f"the pull must rise toward the entry over a reach above 0, got {pull}"
-            raise ValueError(msg)
+            raise ValueError(f"the pull must rise toward the entry over a reach above 0, got {pull}")
         if not (pull.tau_s >= 0.0 and pull.filter_s >= 0.0):
-            msg = f"times can't be negative, got {pull}"
-            raise ValueError(msg)
+            raise ValueError(f"times can't be negative, got {pull}")
         if bone.radius_m > 0.0 and not (
             bone.stiffness_N_per_m > 0.0
             and bone.resistance_N_s_per_m > 0.0
@@ -115,8 +112,7 @@ class Guidance:
         axis = np.asarray(self.axis, dtype=np.float64)
         length = float(np.linalg.norm(axis))
         if not (np.isfinite(length) and length > UNIT_TOLERANCE):
-            msg = f"an axis needs a direction, got {self.axis}"
-            raise ValueError(msg)
+            raise ValueError(f"an axis needs a direction, got {self.axis}")
         return np.asarray(axis / length)
 
     def numbers(self) -> FloatArray:

@@ -51,8 +51,7 @@ class PassivityLimits:
         for entry in fields(self):
             value = float(getattr(self, entry.name))
             if not 0.0 <= value < math.inf:
-                msg = f"{entry.name} must be finite and not negative, is {value}"
-                raise ValueError(msg)
+                raise ValueError(f"{entry.name} must be finite and not negative, is {value}")
         if self.largest_change_N > LARGEST_CHANGE_ALLOWED_N:
             msg = (
                 f"largest_change_N is {self.largest_change_N}, at most {LARGEST_CHANGE_ALLOWED_N} is allowed"

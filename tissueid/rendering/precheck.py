@@ -171,8 +171,7 @@ def check_before_force(
         else:
             wanted = scaling_at(tissue, force=force_scale, motion=motion)
     except ValueError as error:
-        msg = f"no force scale: {error}; give --force-scale"
-        raise DeviceError(msg) from error
+        raise DeviceError(f"no force scale: {error}; give --force-scale") from error
     timing = {"period_s": demands.period_s, "delay_ticks": demands.delay_ticks}
     need = required_damping(model, theta, wanted, **timing)
     scaling = _affordable(tissue, wanted, need, demands, asked=force_scale is not None)

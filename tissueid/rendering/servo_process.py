@@ -124,8 +124,7 @@ def _must_be_owned(owner: int) -> None:
 def _share_hand(device: HapticDevice, hand: SharedHand) -> None:
     """Let a pointer lead a simulated hand; DeviceError for another device, which a real hand moves."""
     if not isinstance(device, SimulatedDevice):
-        msg = f"{device.name}: a pointer leads the simulated device alone"
-        raise DeviceError(msg)
+        raise DeviceError(f"{device.name}: a pointer leads the simulated device alone")
     device.share(hand)
 
 

@@ -143,8 +143,7 @@ def tissue_block(
         msg = f"scales must be above 0 and the tip's radius finite, got {numbers} and {tool_radius_m}"
         raise ValueError(msg)
     if not tissue.model.is_passive(tissue.theta):
-        msg = "the tissue is not passive (F_s or K negative somewhere): it can't be rendered"
-        raise ValueError(msg)
+        raise ValueError("the tissue is not passive (F_s or K negative somewhere): it can't be rendered")
     block = free_air_block(label=label)
     block[env.KIND] = env.TISSUE
     block[env.FORCE_SCALE] = force_scale
@@ -196,8 +195,7 @@ def parse_surface(text: str) -> Shape:
         found = pattern.fullmatch(line)
         if found is not None and all(float(size) > 0.0 for size in found.groups()):
             return kind, tuple(float(size) for size in found.groups())
-    msg = f"--surface {printable(text)!r}: write 'plane', 'sphere 60 mm' or 'box 60 x 60 x 40 mm'"
-    raise UsageError(msg)
+    raise UsageError(f"--surface {printable(text)!r}: write 'plane', 'sphere 60 mm' or 'box 60 x 60 x 40 mm'")
 
 
 def place_surface(

@@ -137,8 +137,7 @@ class Ledger:
         """A published number as an input; from now on its own row is a round trip."""
         value = PUBLISHED[key].value
         if isinstance(value, tuple):
-            msg = f"{key} is a range, which is no input"
-            raise TypeError(msg)
+            raise TypeError(f"{key} is a range, which is no input")
         self._used[key] = None
         return value
 

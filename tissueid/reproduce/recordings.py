@@ -78,8 +78,7 @@ def fitted(
     )
     found = identify(trials, options=options)
     if found.exit.code in (3, 7):
-        msg = f"a simulated recording was refused: {'; '.join(found.exit.reasons)}"
-        raise NotIdentifiedError(msg)
+        raise NotIdentifiedError(f"a simulated recording was refused: {'; '.join(found.exit.reasons)}")
     return found.specimens
 
 

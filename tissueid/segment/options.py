@@ -47,16 +47,13 @@ class SegmentOptions:
     def __post_init__(self) -> None:
         for name in ("compression_sign", "force_sign"):
             if getattr(self, name) not in (None, 1, -1):
-                msg = f"{name} is {getattr(self, name)}, must be 1, -1 or None"
-                raise ValueError(msg)
+                raise ValueError(f"{name} is {getattr(self, name)}, must be 1, -1 or None")
         if not self.contact_sd_mm >= 0.0:
-            msg = f"contact_sd_mm is {self.contact_sd_mm}, must be >= 0"
-            raise ValueError(msg)
+            raise ValueError(f"contact_sd_mm is {self.contact_sd_mm}, must be >= 0")
         for name, what in (("start_s", "the window"), ("hold_from_s", "a hold")):
             start = getattr(self, name)
             if start is not None and self.end_s is not None and not start < self.end_s:
-                msg = f"{name} is {start} and end_s {self.end_s}: {what} must end after it starts"
-                raise ValueError(msg)
+                raise ValueError(f"{name} is {start} and end_s {self.end_s}: {what} must end after it starts")
 
     def stated(self) -> dict[str, float | int | bool]:
         """Decisions, by the key that study.toml has for them."""

@@ -78,8 +78,7 @@ def rank_of(truth: float, draws: FloatArray, rng: np.random.Generator) -> int:
 def thinned(draws: FloatArray) -> FloatArray:
     """DRAWS draws, evenly spread over all of them."""
     if draws.size < DRAWS:
-        msg = f"{draws.size} draws, {DRAWS} are needed to rank a truth"
-        raise ValueError(msg)
+        raise ValueError(f"{draws.size} draws, {DRAWS} are needed to rank a truth")
     return draws[np.linspace(0, draws.size - 1, DRAWS).round().astype(np.int64)]
 
 

@@ -214,8 +214,7 @@ def verdict_of(records: Sequence[Record]) -> Verdict:
     good = [record for record in records if record.failed is None]
     if not good:
         why = f"; the first: {records[0].failed}" if records else ""
-        msg = f"none of {len(records)} simulations has a posterior{why}"
-        raise NotIdentifiedError(msg)
+        raise NotIdentifiedError(f"none of {len(records)} simulations has a posterior{why}")
     names = list(good[0].rank)
     bands = {
         "95": ecdf_band(len(good), 0.95),

@@ -279,12 +279,10 @@ def load_bundle(path: Path | str) -> Bundle:
             newer = isinstance(version, np.integer | int) and version > BUNDLE_SCHEMA_VERSION
             way = "install a newer tissueid" if newer else f"run `tissueid migrate {path}`"
             reads = f"this tissueid reads version {BUNDLE_SCHEMA_VERSION}"
-            msg = f"{path}: schema version {version}, {reads}; {way}, or fit again"
-            raise BundleError(msg)
+            raise BundleError(f"{path}: schema version {version}, {reads}; {way}, or fit again")
         if seal is None:
             none = "carries no content hash, so it was not written by tissueid"
-            msg = f"{path}: {none}; run `tissueid fit` again"
-            raise BundleError(msg)
+            raise BundleError(f"{path}: {none}; run `tissueid fit` again")
         text, arrays = _read(file)
     if seal != _content_hash(text, arrays):
         msg = f"{path}: changed since it was written (the content hash differs); run `tissueid fit` again"
@@ -292,8 +290,7 @@ def load_bundle(path: Path | str) -> Bundle:
     try:
         document = json.loads(text)
     except ValueError as error:
-        msg = f"{path}: its document is not JSON ({error}); run `tissueid fit` again"
-        raise BundleError(msg) from error
+        raise BundleError(f"{path}: its document is not JSON ({error}); run `tissueid fit` again") from error
     check(document, "bundle", where=str(path))
     bundle = bundle_of_document(document, arrays)
     _check_contents(bundle, document, where=str(path))
@@ -314,15 +311,13 @@ def _read(file: Any) -> tuple[bytes, dict[str, FloatArray]]:
     missing = {_DOCUMENT, *ARRAYS} - set(OPTIONAL) - names
     unknown = names - {_DOCUMENT, *ARRAYS}
     if missing or unknown:
-        msg = f"data sets missing: {sorted(missing)}, unknown: {sorted(unknown)}"
-        raise ValueError(msg)
+        raise ValueError(f"data sets missing: {sorted(missing)}, unknown: {sorted(unknown)}")
     text = get_text(file, _DOCUMENT)
     arrays = {}
     for name in names - {_DOCUMENT}:
         dataset = file[name]
         if dataset.dtype != np.dtype("<f8"):
-            msg = f"data set {name} holds {dataset.dtype}, not 64-bit floats"
-            raise ValueError(msg)
+            raise ValueError(f"data set {name} holds {dataset.dtype}, not 64-bit floats")
         arrays[name] = np.asarray(dataset[()])
     return text, arrays
 
@@ -352,5 +347,4 @@ def _check_contents(bundle: Bundle, document: Mapping[str, Any], *, where: str) 
     problem = array_problem(bundle) or model_problem(bundle)
     if problem is not None:
         again = "" if MISSING_LAW in problem else ", run `tissueid fit` again"
-        msg = f"{where}: {problem}; such a bundle can't be rendered safely{again}"
-        raise BundleError(msg)
+        raise BundleError(f"{where}: {problem}; such a bundle can't be rendered safely{again}")

@@ -72,8 +72,7 @@ def get_residuals(group: Any, trials: int) -> list[ResidualSummary | None]:
         and (where < trials).all()
     )
     if not whole:
-        msg = "its residuals do not match its index"
-        raise ValueError(msg)
+        raise ValueError("its residuals do not match its index")
     for k, trial in enumerate(where.tolist()):
         arrays = {name: columns[name][k] for name in _TABLES}
         arrays |= {name: columns[name][ends[name][k] : ends[name][k + 1]] for name in _SERIES}
@@ -140,8 +139,7 @@ def get_curves(group: Any) -> tuple[TrialCurve, ...]:
     offsets = np.asarray(group["offsets"][()])
     columns = {name: np.asarray(group[name][()]) for name in (*_QUANTITIES, "fitted")}
     if offsets.size != len(index) + 1 or any(column.shape != (offsets[-1],) for column in columns.values()):
-        msg = "its index does not match its numbers"
-        raise ValueError(msg)
+        raise ValueError("its index does not match its numbers")
     residuals = get_residuals(group, len(index))
     return tuple(
         TrialCurve(

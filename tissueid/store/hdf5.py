@@ -40,21 +40,18 @@ def open_file(path: Path | IO[bytes], kind: str, way_out: str, missing: str | No
     ``kind``: what it should be; ``way_out``: what to do where it is none; ``missing``: which fits leave it.
     """
     if missing is not None and isinstance(path, Path) and not path.is_file():
-        msg = f"{path}: there is no such file; `tissueid fit` writes {missing}"
-        raise BundleError(msg)
+        raise BundleError(f"{path}: there is no such file; `tissueid fit` writes {missing}")
     try:
         with h5py.File(path, "r") as file:
             yield file
     except HDF5_ERRORS as error:
-        msg = f"{path}: cannot be read as {kind} ({error}); {way_out}"
-        raise BundleError(msg) from error
+        raise BundleError(f"{path}: cannot be read as {kind} ({error}); {way_out}") from error
 
 
 def check_format(group: Any, expected: str) -> None:
     """Refuse, by ValueError, a group that states another format."""
     if group.attrs.get("format") != expected:
-        msg = f"its format is {group.attrs.get('format')!r}, not {expected!r}"
-        raise ValueError(msg)
+        raise ValueError(f"its format is {group.attrs.get('format')!r}, not {expected!r}")
 
 
 def put_text(group: Any, name: str, text: bytes) -> None:

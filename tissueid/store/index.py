@@ -309,8 +309,7 @@ def open_for_reading(out: Path) -> sqlite3.Connection:
     """Open the index of a folder for queries, also while a run writes it; BundleError where there is none."""
     path = out / INDEX
     if not path.is_file():
-        msg = f"{out}: holds no index of a run; `tissueid fit ... -o {out}` makes one"
-        raise BundleError(msg)
+        raise BundleError(f"{out}: holds no index of a run; `tissueid fit ... -o {out}` makes one")
     problem: sqlite3.Error | None = None
     # a folder that can't be written to holds no writer either: then the file alone is the whole truth
     for way in ("mode=ro", "immutable=1"):
@@ -323,8 +322,7 @@ def open_for_reading(out: Path) -> sqlite3.Connection:
             continue
         if version != INDEX_SCHEMA_VERSION:
             database.close()
-            msg = f"{path}: schema version {version}, this tissueid reads {INDEX_SCHEMA_VERSION}"
-            raise BundleError(msg)
+            raise BundleError(f"{path}: schema version {version}, this tissueid reads {INDEX_SCHEMA_VERSION}")
         return database
     raise BundleError(_unusable(path, problem or OSError("no way to open it")))
 
@@ -342,8 +340,7 @@ def read_status(out: Path) -> dict[str, Any]:
         database.execute("BEGIN")
         run = database.execute("SELECT * FROM runs ORDER BY id DESC LIMIT 1").fetchone()
         if run is None:
-            msg = f"{out}: no run has begun here"
-            raise BundleError(msg)
+            raise BundleError(f"{out}: no run has begun here")
         return _status(database, run)
     except sqlite3.Error as error:
         msg = f"{out / INDEX}: can't be read ({error}); the next `tissueid fit` begins it anew"

@@ -94,8 +94,7 @@ def _opened(path: Path | IO[bytes]) -> Iterator[Any]:
         group = file[SPECIMEN_GROUP]
         version = group.attrs.get("schema_version")
         if group.attrs.get("format") != _FORMAT or version != SPECIMEN_SCHEMA_VERSION:
-            msg = f"format {group.attrs.get('format')!r}, schema version {version}"
-            raise ValueError(msg)
+            raise ValueError(f"format {group.attrs.get('format')!r}, schema version {version}")
         yield group
 
 

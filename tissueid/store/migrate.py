@@ -64,8 +64,7 @@ def _step_from(path: Path, version: int, steps: Mapping[int, Any], newest: int) 
         msg = f"{path}: schema version {version} is newer than this tissueid ({newest}); install a newer one"
         raise BundleError(msg)
     if version not in steps:
-        msg = f"{path}: no way is known from schema version {version} to {newest}; fit again"
-        raise BundleError(msg)
+        raise BundleError(f"{path}: no way is known from schema version {version} to {newest}; fit again")
     return steps[version]
 
 
@@ -114,8 +113,7 @@ def _migrate_index(path: Path, steps: Mapping[int, str]) -> Migrated | None:
                 new.executescript(_step_from(path, version, steps, INDEX_SCHEMA_VERSION))
             new.execute(f"PRAGMA user_version={INDEX_SCHEMA_VERSION}")
             if new.execute("PRAGMA integrity_check").fetchone()[0] != "ok":
-                msg = "the new file is not whole"
-                raise sqlite3.DatabaseError(msg)
+                raise sqlite3.DatabaseError("the new file is not whole")
     except sqlite3.Error as error:
         msg = f"{path}: can't be migrated ({error}); delete it, and the next `tissueid fit` computes again"
         raise BundleError(msg) from error

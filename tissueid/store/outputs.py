@@ -99,8 +99,7 @@ def folder_lock(folder: Path, *, wait_s: float = 0.0) -> Iterator[None]:
                 who = f"process {holder['pid']} on {holder['host']}"
             except (OSError, ValueError, KeyError, TypeError):
                 who = "another process"
-            msg = f"{folder}: {who} is writing here; wait for it to end or choose another folder"
-            raise BundleError(msg)
+            raise BundleError(f"{folder}: {who} is writing here; wait for it to end or choose another folder")
         stream.truncate(0)
         stream.write(json.dumps({"pid": os.getpid(), "host": platform.node()}).encode())
         stream.flush()
@@ -143,8 +142,7 @@ def current_run(out: Path | str) -> CommittedRun | None:
     try:
         document = json.loads((folder / _MANIFEST).read_text(encoding="utf-8"))
     except ValueError as error:
-        msg = f"{folder / _MANIFEST}: not JSON ({error}); run `tissueid fit` again"
-        raise BundleError(msg) from error
+        raise BundleError(f"{folder / _MANIFEST}: not JSON ({error}); run `tissueid fit` again") from error
     check(document, "outputs", where=str(folder / _MANIFEST))
     return CommittedRun(folder, document["files"], tuple(document["replaces"]))
 
@@ -282,8 +280,7 @@ class OutputSet:
         """Place to write the file that will be public as ``name`` (a plain file name)."""
         folder = self._open_folder()
         if not name or Path(name).name != name or name.startswith(".") or name == _MANIFEST:
-            msg = f"{name!r} can't be a public name of an output set"
-            raise ValueError(msg)
+            raise ValueError(f"{name!r} can't be a public name of an output set")
         return folder / name
 
     def sampling(self) -> Path:
@@ -325,6 +322,5 @@ class OutputSet:
 
     def _open_folder(self) -> Path:
         if self._folder is None:
-            msg = "the output set is not open: use it inside `with`, before commit"
-            raise RuntimeError(msg)
+            raise RuntimeError("the output set is not open: use it inside `with`, before commit")
         return self._folder

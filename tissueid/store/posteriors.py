@@ -130,8 +130,7 @@ def _posterior(entry: Mapping[str, Any], group: Any) -> StoredPosterior:
         and columns["bands"].shape == (_BAND_ROWS, offsets[-1])
     )
     if not whole:
-        msg = f"its index does not match the numbers of {entry['specimen']!r}"
-        raise ValueError(msg)
+        raise ValueError(f"its index does not match the numbers of {entry['specimen']!r}")
     trials = [(trial["path"], trial["sheet"]) for trial in entry["trials"]]
     return StoredPosterior(
         specimen=entry["specimen"],

@@ -149,8 +149,7 @@ def _committed(out: Path) -> CommittedRun:
     complete_refresh(out)
     run = current_run(out)
     if run is None:
-        msg = f"{out}: holds no finished run; `tissueid fit ... -o {out}` makes one"
-        raise BundleError(msg)
+        raise BundleError(f"{out}: holds no finished run; `tissueid fit ... -o {out}` makes one")
     return run
 
 
@@ -158,8 +157,7 @@ def _checked(path: Path, kind: str = "identification", way_out: str = _WAY_OUT) 
     try:
         document: dict[str, Any] = json.loads(path.read_bytes())
     except (OSError, ValueError) as error:
-        msg = f"{path}: cannot be read as JSON ({error}); {way_out}"
-        raise BundleError(msg) from error
+        raise BundleError(f"{path}: cannot be read as JSON ({error}); {way_out}") from error
     check(document, kind, where=str(path))
     return document
 

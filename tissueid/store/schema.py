@@ -54,8 +54,7 @@ def schema_folder() -> Traversable:
 def load_schema(name: str) -> Mapping[str, Any]:
     """Load one schema, by its name, as parsed JSON."""
     if name not in SCHEMA_NAMES:
-        msg = f"there is no schema {name!r}; there are {', '.join(SCHEMA_NAMES)}"
-        raise KeyError(msg)
+        raise KeyError(f"there is no schema {name!r}; there are {', '.join(SCHEMA_NAMES)}")
     text = (schema_folder() / f"{name}.schema.json").read_text(encoding="utf-8")
     schema: dict[str, Any] = json.loads(text)
     return schema
@@ -101,5 +100,4 @@ def check(document: Any, name: str, *, where: str = "") -> None:
     problem = first_problem(document, name)
     if problem is not None:
         prefix = f"{where}: " if where else ""
-        msg = f"{prefix}not a valid {name} document at {problem}"
-        raise BundleError(msg)
+        raise BundleError(f"{prefix}not a valid {name} document at {problem}")

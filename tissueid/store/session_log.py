@@ -131,8 +131,7 @@ def read_session_log(source: Path | str | bytes, *, where: str | None = None) ->
     digest = hashlib.sha256(_seal(text, records.dtype, records.size))
     digest.update(np.ascontiguousarray(records).tobytes())
     if attributes.get("content_sha256") != digest.hexdigest():
-        msg = f"{name}: changed since it was written (the content hash differs); record it again"
-        raise BundleError(msg)
+        raise BundleError(f"{name}: changed since it was written (the content hash differs); record it again")
     document = _document(text, name)
     return SessionLog(document, records, document["summary"])
 
@@ -195,16 +194,14 @@ def _parsed_head(data: bytes, name: str) -> tuple[dict[str, Any], int, np.dtype[
 def _check_record(record: np.dtype[Any]) -> None:
     missing = [name for name in _NEEDED if name not in (record.names or ())]
     if missing or record.hasobject:
-        msg = f"its records lack {', '.join(missing) or 'a plain layout'}"
-        raise ValueError(msg)
+        raise ValueError(f"its records lack {', '.join(missing) or 'a plain layout'}")
 
 
 def _document(text: bytes, name: str) -> dict[str, Any]:
     try:
         document = json.loads(text)
     except ValueError as error:
-        msg = f"{name}: its document is not JSON ({error}); record the session again"
-        raise BundleError(msg) from error
+        raise BundleError(f"{name}: its document is not JSON ({error}); record the session again") from error
     check(document, "session", where=name)
     assert isinstance(document, dict)  # noqa: S101 -- what the schema demands
     return document

@@ -62,8 +62,7 @@ def xlsx_bytes(sheets: Sequence[Sheet]) -> bytes:
     Raises ValueError: without a sheet, or of more rows than a sheet can hold.
     """
     if not sheets:
-        msg = "a workbook needs a sheet"
-        raise ValueError(msg)
+        raise ValueError("a workbook needs a sheet")
     names, numbers = _names([sheet.name for sheet in sheets]), range(1, len(sheets) + 1)
     listed = "".join(
         f'<sheet name="{escape(name, _QUOTES)}" sheetId="{k}" r:id="rId{k}"/>'

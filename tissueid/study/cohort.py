@@ -62,8 +62,7 @@ def write_population(
         written = plain(document)
         if fit.population is None:
             left = "".join(f"; {printable(row.specimen)}: {row.reason}" for row in document.left_out)
-            msg = f"no population: {document.reason}{left}"
-            raise NotIdentifiedError(msg)
+            raise NotIdentifiedError(f"no population: {document.reason}{left}")
         check(written, "population", where=_DOCUMENT)
         progress("writing the report", 0, 0)
         run.carry_over(but=POPULATION_FILES)

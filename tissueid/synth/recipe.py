@@ -95,11 +95,9 @@ class Rupture:
             msg = f"rupture: criterion is {self.criterion!r}, must be one of {', '.join(RUPTURES)}"
             raise ValueError(msg)
         if not (self.threshold > 0.0 and min(self.cv, self.cv_specimen, self.weight) >= 0.0):
-            msg = f"rupture: threshold must be > 0 and cv, cv_specimen, weight >= 0, is {self}"
-            raise ValueError(msg)
+            raise ValueError(f"rupture: threshold must be > 0 and cv, cv_specimen, weight >= 0, is {self}")
         if not 0.0 <= self.residual <= 1.0:
-            msg = f"rupture: residual is {self.residual}, must lie within 0 to 1"
-            raise ValueError(msg)
+            raise ValueError(f"rupture: residual is {self.residual}, must lie within 0 to 1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,8 +199,7 @@ def _from_table(table: Mapping[str, Any]) -> Recipe:
     known = {field.name for field in fields(Recipe)}
     unknown = sorted(set(table) - known)
     if unknown:
-        msg = f"unknown key {unknown[0]!r}; known are {', '.join(sorted(known))}"
-        raise ValueError(msg)
+        raise ValueError(f"unknown key {unknown[0]!r}; known are {', '.join(sorted(known))}")
     values = dict(table)
     values["logs"] = tuple(
         Log(

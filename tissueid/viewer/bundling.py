@@ -117,12 +117,10 @@ def _run(command: list[str], folder: Path, environment: dict[str, str]) -> None:
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        msg = f"{' '.join(command[:3])}: {error}"
-        raise BundlingError(msg) from error
+        raise BundlingError(f"{' '.join(command[:3])}: {error}") from error
     if done.returncode:
         words = [line for line in (done.stderr or done.stdout).splitlines() if line.strip()][-6:]
-        msg = f"{' '.join(command[:3])} failed: {' / '.join(words)}"
-        raise BundlingError(msg)
+        raise BundlingError(f"{' '.join(command[:3])} failed: {' / '.join(words)}")
 
 
 def main() -> int:

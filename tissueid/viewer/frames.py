@@ -130,15 +130,12 @@ def write_frame(
 def read_frame(data: bytes) -> Frame:
     """The inverse of :func:`write_frame`; ValueError: it is no frame of this version, or not whole."""
     if len(data) < HEAD.itemsize:
-        msg = f"a frame has a head of {HEAD.itemsize} bytes, this one is {len(data)} bytes long"
-        raise ValueError(msg)
+        raise ValueError(f"a frame has a head of {HEAD.itemsize} bytes, this one is {len(data)} bytes long")
     head = np.frombuffer(data, HEAD, 1)[0]
     if head["magic"] != MAGIC or head["version"] != VERSION:
-        msg = f"no frame of version {VERSION}: it begins with {data[:4]!r}"
-        raise ValueError(msg)
+        raise ValueError(f"no frame of version {VERSION}: it begins with {data[:4]!r}")
     if len(data) != HEAD.itemsize + int(head["count"]) * SAMPLE.itemsize:
-        msg = f"a frame of {head['count']} samples can't have {len(data)} bytes"
-        raise ValueError(msg)
+        raise ValueError(f"a frame of {head['count']} samples can't have {len(data)} bytes")
     return Frame(
         int(head["first"]),
         np.frombuffer(data, SAMPLE, offset=HEAD.itemsize),

@@ -347,8 +347,7 @@ def check_log(path: Path) -> SessionLog:
     """A log with something in it; BundleError: it can't be read, or holds no two ticks."""
     log = read_session_log(path)
     if log.records.size < 2:
-        msg = f"{path}: the log holds {log.records.size} ticks, there is nothing to see"
-        raise BundleError(msg)
+        raise BundleError(f"{path}: the log holds {log.records.size} ticks, there is nothing to see")
     return log
 
 

@@ -51,8 +51,7 @@ class Access:
 
     def __post_init__(self) -> None:
         if self.token is None and not is_loopback(self.host):
-            msg = f"{self.host} is reached from other machines: a token is needed"
-            raise ValueError(msg)
+            raise ValueError(f"{self.host} is reached from other machines: a token is needed")
 
     def refusal(self, headers: Mapping[str, str], token: str | None, *, websocket: bool) -> str | None:
         """Why a request is refused, in words for the log; None where it is welcome.

@@ -170,8 +170,7 @@ class ServedViewer(AbstractContextManager["ServedViewer"]):
 
 def _no_password() -> str:
     """A key that asks for one can't be used by a process that nobody answers."""
-    msg = "the key has a password"
-    raise ValueError(msg)
+    raise ValueError("the key has a password")
 
 
 def listening_socket(options: ViewerOptions) -> socket.socket:

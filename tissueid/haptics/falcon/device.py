@@ -222,8 +222,7 @@ class FalconDevice(HapticDevice):
 
     def _opened(self) -> Transport:
         if self._transport is None:
-            msg = "the Falcon is closed"
-            raise DeviceError(msg)
+            raise DeviceError("the Falcon is closed")
         return self._transport
 
     def _open_transport(self) -> Transport:

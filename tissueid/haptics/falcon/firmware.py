@@ -87,8 +87,7 @@ def find_firmware(path: str | os.PathLike[str] | None = None) -> Firmware:
         raise DeviceError(msg) from error
     if not 0 < len(content) <= LONGEST:
         what = "is empty" if not content else f"has {len(content)} bytes, far more than a firmware"
-        msg = f"firmware file {file} {what}; name another with --firmware FILE"
-        raise DeviceError(msg)
+        raise DeviceError(f"firmware file {file} {what}; name another with --firmware FILE")
     digest = hashlib.sha256(content).hexdigest()
     known = (digest[:8], digest[-4:], len(content)) in KNOWN
     warning = (
@@ -121,8 +120,7 @@ def upload(transport: Transport, content: bytes, progress: Progress) -> None:
     # a late answer to an earlier call may stand before it, and has no such byte
     received = _read_until(transport, lambda got: got.endswith(READY), ECHO_WAIT_S)
     if not received.endswith(READY):
-        msg = f"the loader answered {received!r} to {READY!r}"
-        raise UploadError(msg)
+        raise UploadError(f"the loader answered {received!r} to {READY!r}")
     for start in range(0, len(content), CHUNK):
         chunk = content[start : start + CHUNK]
         transport.write(chunk)
@@ -197,8 +195,7 @@ def _say_hello(transport: Transport) -> None:
         if HELLO_REPLY in received:
             return
         received = received[-len(HELLO_REPLY) :]
-    msg = f"no answer to {HELLO_TRIES} calls of the loader"
-    raise NoLoaderError(msg)
+    raise NoLoaderError(f"no answer to {HELLO_TRIES} calls of the loader")
 
 
 def _read_until(

@@ -365,8 +365,7 @@ def _block(geometry: Geometry) -> FloatArray:
 def _vector(value: ArrayLike, what: str) -> FloatArray:
     vector = np.array(value, dtype=np.float64)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
-        msg = f"{what} must be three finite numbers, not {value!r}"
-        raise ValueError(msg)
+        raise ValueError(f"{what} must be three finite numbers, not {value!r}")
     return vector
 
 
@@ -392,8 +391,7 @@ def forward(
     angles = _vector(angles_rad, "angles")
     position = _vector(GUESS_M if guess is None else guess, "a guess")
     if forward_kernel(angles, _block(geometry), position) < 0:
-        msg = f"no grip position has the leg angles {angles.tolist()} rad"
-        raise WorkspaceError(msg)
+        raise WorkspaceError(f"no grip position has the leg angles {angles.tolist()} rad")
     return position
 
 

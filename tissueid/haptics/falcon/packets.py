@@ -158,14 +158,11 @@ def encode_command(motor_units: Sequence[int] | NDArray[np.int64], *, leds: int,
         msg = f"motor units and LED bits are integers, not {motor_units!r} and {leds!r}"
         raise ValueError(msg) from error
     if len(motor) != 3 or any(abs(value) > MOTOR_LIMIT for value in motor):
-        msg = f"a command has three motor values within +-{MOTOR_LIMIT}, not {motor}"
-        raise ValueError(msg)
+        raise ValueError(f"a command has three motor values within +-{MOTOR_LIMIT}, not {motor}")
     if bits & ~ALL_LEDS:
-        msg = f"LED bits are 0x02, 0x04 and 0x08, not {bits:#04x}"
-        raise ValueError(msg)
+        raise ValueError(f"LED bits are 0x02, 0x04 and 0x08, not {bits:#04x}")
     if homing not in (True, False):
-        msg = f"homing is True or False, not {homing!r}"
-        raise ValueError(msg)
+        raise ValueError(f"homing is True or False, not {homing!r}")
     out = np.empty(PACKET_BYTES, dtype=np.uint8)
     encode_into(np.array(motor, dtype=np.int64), bits, bool(homing), out)
     return out.tobytes()

@@ -119,8 +119,7 @@ class FileTransport:
         except (OSError, ValueError) as error:
             raise self._lost(error) from error
         if not data:
-            msg = f"{self.where} was closed at its other end"
-            raise TransportLost(msg)
+            raise TransportLost(f"{self.where} was closed at its other end")
         return data
 
     def purge(self) -> None:
@@ -253,8 +252,7 @@ class LibUsb:
         self._context = c_void_p()
         code = self.library.libusb_init(byref(self._context))
         if code != 0:
-            msg = f"libusb can't be started ({self.error_name(code)}); is /dev/bus/usb there?"
-            raise DeviceError(msg)
+            raise DeviceError(f"libusb can't be started ({self.error_name(code)}); is /dev/bus/usb there?")
 
     def falcons(self) -> list[str]:
         """Node of every Falcon that is plugged in, whether or not it may be opened."""
@@ -443,8 +441,7 @@ def _load() -> Any:
             continue
         return declared(library, _PROTOTYPES, f"{name} is no libusb 1.0 of use")
     where = f"{named} ({LIBRARY_VARIABLE})" if named else "libusb-1.0"
-    msg = f"{where} can't be loaded, and a Falcon needs it; on Debian: apt install libusb-1.0-0"
-    raise DeviceError(msg)
+    raise DeviceError(f"{where} can't be loaded, and a Falcon needs it; on Debian: apt install libusb-1.0-0")
 
 
 #: A way for bytes to a Falcon.

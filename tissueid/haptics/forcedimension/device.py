@@ -84,8 +84,7 @@ class Sdk:
         """Open the first Falcon; DeviceError with what the SDK says."""
         identity = self.library.dhdOpenType(FALCON_TYPE)
         if identity < 0:
-            msg = f"the Force Dimension SDK opened no Falcon: {self.last_error()}"
-            raise DeviceError(msg)
+            raise DeviceError(f"the Force Dimension SDK opened no Falcon: {self.last_error()}")
         self.identity = identity
 
     def close(self) -> None:
@@ -98,8 +97,7 @@ class Sdk:
     def call(self, function: str, *arguments: Any) -> None:
         """Ask something of the open device; DeviceError with what the SDK says."""
         if getattr(self.library, function)(*arguments, self.identity) not in {DONE, TIME_GUARD, SATURATED}:
-            msg = f"{function} failed: {self.last_error()}"
-            raise DeviceError(msg)
+            raise DeviceError(f"{function} failed: {self.last_error()}")
 
     def last_error(self) -> str:
         """Words of the SDK on its last error."""
@@ -254,6 +252,5 @@ class ForceDimensionDevice(HapticDevice):
 
     def _opened(self) -> Sdk:
         if self._sdk is None:
-            msg = "the device is closed"
-            raise DeviceError(msg)
+            raise DeviceError("the device is closed")
         return self._sdk

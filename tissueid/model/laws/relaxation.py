@@ -143,8 +143,7 @@ class Prony:
 
     def __post_init__(self) -> None:
         if self.branches not in {1, 2, 3}:
-            msg = f"{self.branches} branches are not offered, 1 to 3 are"
-            raise ValueError(msg)
+            raise ValueError(f"{self.branches} branches are not offered, 1 to 3 are")
 
     def value(self, time_s: FloatArray, tau_s: Any) -> FloatArray:
         """One exponential."""
@@ -168,8 +167,7 @@ class Spectrum:
 
     def __post_init__(self) -> None:
         if not 2 <= self.nodes <= 12:
-            msg = f"a spectrum of {self.nodes} times is not offered, 2 to 12 are"
-            raise ValueError(msg)
+            raise ValueError(f"a spectrum of {self.nodes} times is not offered, 2 to 12 are")
 
     def value(self, time_s: FloatArray, tau_s: Any) -> FloatArray:
         """One exponential."""

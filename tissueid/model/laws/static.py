@@ -119,8 +119,7 @@ class Polynomial:
 
     def __post_init__(self) -> None:
         if self.degree not in {1, 2, 3}:
-            msg = f"a polynomial of degree {self.degree} is not offered, 1 to 3 are"
-            raise ValueError(msg)
+            raise ValueError(f"a polynomial of degree {self.degree} is not offered, 1 to 3 are")
 
     @property
     def coefficients(self) -> tuple[ParameterSpec, ...]:

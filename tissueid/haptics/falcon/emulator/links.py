@@ -141,8 +141,7 @@ class EmulatorProcess:
         if not line.startswith(READY_LINE):
             self._process.kill()
             said = self._process.communicate()[1].decode(errors="replace").strip().splitlines()
-            msg = f"the emulator did not start: {said[-1] if said else 'it said nothing'}"
-            raise DeviceError(msg)
+            raise DeviceError(f"the emulator did not start: {said[-1] if said else 'it said nothing'}")
         self.path = line.removeprefix(READY_LINE)
 
     def close(self) -> None:
