@@ -17,13 +17,13 @@ from inference_cases import (
     system_of,
 )
 from scipy.interpolate import BPoly
-from scipy.linalg import null_space
+from scipy.linalg import cho_solve, null_space
 from scipy.optimize import minimize
 
 from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.engine import refit
 from tissueid.inference.noise import Memory
-from tissueid.inference.optimum import covariance_of, minimise, nearest_in_cone, prior_cost
+from tissueid.inference.optimum import _factor, covariance_of, minimise, nearest_in_cone, prior_cost
 from tissueid.inference.prior import Scatter, bernstein, calibration_priors, prior_rows, suited, time_bounds
 from tissueid.inference.system import SHAPE, Effects
 from tissueid.manifest import Calibration, FrameCurve
@@ -299,3 +299,16 @@ def test_an_unstated_frame_is_no_softer_than_suits_the_specimen():
     assert suited(Priors(), 20_000.0, 4.0).calibration[FRAME].sd == pytest.approx(3e-5)
     stated = Priors(calibration={FRAME: CalibrationPrior(0.0, 0.01, 0.0, stated=True)})
     assert suited(stated, 20_000.0, 4.0) == stated
+
+
+def test_a_matrix_that_rounding_has_bent_still_gives_a_step():
+    rng = np.random.default_rng(3)
+    rows = rng.standard_normal((4, 3)) @ rng.standard_normal((3, 6))
+    bent = rows.T @ rows
+    bent /= np.sqrt(np.outer(np.diag(bent), np.diag(bent)))
+    bent[0, 1] += 1e-3
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(bent.T)
+    step = cho_solve(_factor(bent), np.ones(6))
+    assert np.isfinite(step).all()
+    assert step @ np.ones(6) > 0.0

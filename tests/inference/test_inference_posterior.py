@@ -10,7 +10,13 @@ from inference_cases import draw, handles_for, small_recipe
 from scipy.optimize import LinearConstraint, minimize
 
 from tissueid.inference.channel_law import kelvin_voigt_law
-from tissueid.inference.posterior import PosteriorOptions, _at_mean_machine, _passive, with_posterior
+from tissueid.inference.posterior import (
+    PosteriorOptions,
+    _at_mean_machine,
+    _passive,
+    with_posterior,
+    without_faults,
+)
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.inference.target import SpecimenTarget
 from tissueid.model.base import scaled_theta
@@ -48,6 +54,24 @@ def sampled(state, *, instrument=True, seed=3, draws=600):
 @pytest.fixture(scope="module")
 def fit():
     return sampled(fitted())
+
+
+def test_draws_are_moved_to_a_machine_without_faults():
+    rng = np.random.default_rng(5)
+    machine = np.abs(rng.standard_normal((4000, 2)))
+    noise = 0.001 * rng.standard_normal(4000)
+    bent = {
+        "tau": 2.0 * np.exp(0.02 * machine[:, 0] - 0.1 * machine[:, 1] + noise),
+        "a2": 0.3 * machine[:, 0] - 1.0 + noise,
+        "bound": np.maximum(0.2 * machine[:, 1] - 0.1, 0.0),
+    }
+    one, other, both = without_faults(machine, bent)
+    assert np.quantile(both["tau"], [0.025, 0.975]) == pytest.approx([1.996, 2.004], abs=2e-3)
+    assert one["a2"].mean() == pytest.approx(-1.0, abs=2e-3)
+    np.testing.assert_allclose(other["a2"], bent["a2"], atol=0.02)
+    assert min(moved["bound"].min() for moved in (one, other, both)) == 0.0
+    # effects that are there are not taken away
+    assert list(without_faults(3.0 + 0.1 * machine, bent)) == []
 
 
 @pytest.mark.system

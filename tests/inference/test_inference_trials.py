@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from inference_cases import model_force
@@ -74,6 +76,11 @@ def test_residuals_that_are_large_or_correlated_are_flagged():
     flag = next(one for one in found.flags if one.code == "residual_large")
     assert flag.values["max_residual_fraction"] == found.max_residual_fraction
     assert found.max_residual_fraction == pytest.approx(40.0 / np.ptp(trial.force_N), rel=0.05)
+    trial, segmentation, log = recorded(sigma=4.0)
+    noisy = summary(trial, replace(segmentation, force_noise_N=4.0), log)
+    # the largest of 5,000 samples of white noise
+    assert noisy.max_residual_fraction > 0.1
+    assert noisy.flags == ()
     wrong = summary(*recorded(sigma=0.2), Adjustment(gain=1.1))
     assert {"residual_correlated", "residual_large"} <= {one.code for one in wrong.flags}
     assert wrong.residual_acf1 > 0.9

@@ -114,3 +114,21 @@ def test_forces_at_the_limit_of_a_cell_are_not_fitted(tmp_path):
 def test_a_value_that_no_log_alone_has_is_withheld(value, total, alone, held):
     own = ParameterUncertainty(value, 0.01, total, total, 400.0, 400.0, 1.0, alone)
     assert outside((SimpleNamespace(name="a1", value=value),), {"a1": own}) == (() if held else ("a1",))
+
+
+def test_the_intervals_behind_a_machine_of_which_nothing_is_known_hold_a_rigid_one():
+    trial = recorded(lambda t, x: 2.0 * x + 3.0 * relaxing(t, x, 0.5), seed=0, rate_Hz=100.0)
+    found = {one["name"]: one for one in ti.fit([trial]).sample().result.as_json()["parameters"]}
+    for name, truth in (("relaxation_time_s", 0.5), ("viscosity_N_s_per_mm", 1.5)):
+        low, high = found[name]["ci95_total"]
+        assert low < truth < high < 1.1 * truth
+
+
+def test_a_relaxation_that_is_slower_than_its_search_leaves_what_it_exchanges_unknown():
+    trial = recorded(lambda t, x: kelvin_voigt(t, x) + 2.0 * relaxing(t, x, 500.0), seed=1)
+    found = {one.name: one for one in ti.fit([trial]).result.parameters}
+    unknown = {name for name, one in found.items() if not one.identified}
+    slow = ("stiffness_0_N_per_mm_b2", "relaxation_time_s_b2", "viscosity_N_s_per_mm_b2")
+    assert unknown == {"static_1_N_per_mm", *slow}
+    assert all(found[name].value is None for name in unknown)
+    assert abs(found["relaxation_time_s"].value - 3.0) < 0.2

@@ -211,3 +211,28 @@ def test_a_counter_that_starts_again_at_each_turn_is_no_displacement(tmp_path, w
     assert ("jump" in codes(trial)) is not with_position
     leap = float(np.abs(np.diff(trial.displacement_mm)).max())
     assert leap == pytest.approx(0.5 if with_position else 12.0)
+
+
+@pytest.mark.parametrize(
+    ("names", "slower"),
+    [
+        (("Time (s)", "Displacement (mm)", "Time (s)", "Force (N)"), 2.0),
+        (("Displacement Time (s)", "Displacement (mm)", "Load Time (s)", "Load (N)"), 2.0),
+        (("Time (s)", "Displacement (mm)", "Time (s)", "Force (N)"), 1.0),
+        (("Total Time (s)", "Displacement (mm)", "Cycle Elapsed Time (s)", "Force (N)"), 2.0),
+    ],
+)
+@pytest.mark.parametrize("kind", ["csv", "xlsx"])
+def test_channels_with_clocks_that_part_are_refused(tmp_path: Path, kind: str, names, slower: float) -> None:
+    rows = [names, *zip(TIME, TRAVEL, slower * TIME, FORCE, strict=True)]
+    path = tmp_path / f"a.{kind}"
+    if kind == "csv":
+        put(path, "\n".join(",".join(map(str, row)) for row in rows) + "\n")
+    else:
+        workbook(path, {"Sheet1": [list(row) for row in rows]})
+    if slower == 1.0 or names[0].startswith("Total"):
+        assert read(path).time_s[-1] == pytest.approx(TIME[-1])
+        return
+    error = refusal(path)
+    assert (error.code, error.column) == ("several_clocks", 3)
+    assert read(path, ReadOptions(columns={"time": "#3"})).time_s[-1] == pytest.approx(2.0 * TIME[-1])

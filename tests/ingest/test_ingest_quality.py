@@ -218,7 +218,7 @@ def test_repeated_times_and_event_rows_are_counted() -> None:
     assert only(Recording(*extra, 100.0), "event_rows").values["first_s"] == at
 
 
-@pytest.mark.parametrize("limit_N", [20.0, 40.0])
+@pytest.mark.parametrize("limit_N", [2.0, 20.0, 40.0])
 def test_a_clipped_force_tells_its_limit(limit_N: float) -> None:
     clean = ramp_hold()
     flag = only(replace(clean, force_N=np.minimum(clean.force_N, limit_N)), "clipped_force")

@@ -289,6 +289,34 @@ def _damped(fitted: _Fitted, static: list[Estimate], *, confounded: bool) -> lis
     return out
 
 
+def without_exchanged(parameters: Sequence[Estimate]) -> tuple[Estimate, ...]:
+    """Parameters without the values that the end of the search decides.
+
+    Of a branch slower than its search the data know K / tau and F_s + K x: any longer time serves as well,
+    with a larger K, a larger viscosity and a smaller F_s, up to the degree of K x.
+    """
+    taken: set[str] = set()
+    for slow in parameters:
+        if not (slow.name.startswith("relaxation_time_s") and slow.detail.get("open_high")):
+            continue
+        suffix = slow.name.removeprefix("relaxation_time_s")
+        names = [one.name for one in parameters]
+        own = {name for name in names if (name.endswith(suffix) if suffix else "_b" not in name)}
+        taken |= {name for name in own if name.startswith(("stiffness", "viscosity"))}
+        powers = sum(name.startswith("stiffness") for name in own)
+        taken |= {name for name in names if name.startswith("static") and _power(name) <= powers}
+    return tuple(
+        replace(one, value=None, stderr=None, identified=False) if one.name in taken else one
+        for one in parameters
+    )
+
+
+def _power(name: str) -> int:
+    """The power of depth of a static coefficient, 0 of another law's."""
+    power = name.split("_")[1]
+    return int(power) if power.isdigit() else 0
+
+
 def slow_share(identified: Identified) -> float:
     """Share of the samples in contact that are slower than half of the speed at contact."""
     system = identified.system
@@ -342,4 +370,4 @@ def estimate_tissue(identified: Identified) -> TissueEstimate:
         parameters += _branch_estimates(fitted, branch, profiles[-1] if order else None)
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
     intervals = tuple(interval for interval, _ in profiles)
-    return TissueEstimate(model, theta, finite, tuple(parameters), intervals, bounded)
+    return TissueEstimate(model, theta, finite, without_exchanged(parameters), intervals, bounded)

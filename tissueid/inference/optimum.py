@@ -23,6 +23,8 @@ from tissueid.inference.system import MACHINE, SHAPE, Deflection, Derivatives, P
 WHITE = Memory()
 #: Steps at the most; the largest change in standard errors and the gain of the objective that count as none.
 MOST_STEPS, STILL, NO_GAIN = 40, 0.01, 1e-3
+#: Shares of the diagonal that are added to a matrix until it is positive to its rounding.
+STEADIED = (1e-13, 1e-10, 1e-7, 1e-4, 1e-2, 1.0)
 #: Damping: where it starts, how it changes, and where it gives up.
 DAMPING, RAISED, LOWERED, HOPELESS = 1e-4, 8.0, 0.2, 1e9
 #: Rise of the criterion, the frame's deflection followed, with which a step is taken back, and damping then.
@@ -239,6 +241,16 @@ class _At(NamedTuple):
     frame: Deflection
 
 
+def _factor(scaled: FloatArray) -> tuple[FloatArray, bool]:
+    """Cholesky factor of a matrix with a diagonal of ones, steadied as far as its rounding takes."""
+    for share in STEADIED[:-1]:
+        try:
+            return cho_factor(scaled + share * np.eye(len(scaled)))
+        except np.linalg.LinAlgError:
+            continue
+    return cho_factor(scaled + STEADIED[-1] * np.eye(len(scaled)))
+
+
 def _step(
     normal: Normal, prior: PriorRows, point: Point, damping: float, frozen: FloatArray, centred: bool
 ) -> Point:
@@ -255,7 +267,7 @@ def _step(
         hessian, gradient, cross, own_gradient = _bound(loose, own_inverse, point)
     hessian = hessian + np.diag(damping * np.maximum(np.diag(hessian), FLAT) + frozen + FLAT)
     scale = 1.0 / np.sqrt(np.diag(hessian))
-    factor = cho_factor(hessian * scale * scale[:, None] + 1e-13 * np.eye(scale.size))
+    factor = _factor(hessian * scale * scale[:, None])
     move = scale * cho_solve(factor, scale * gradient)
     shared = point.shared + move
     if ((prior.cone @ shared) < prior.least).any():

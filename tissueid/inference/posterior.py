@@ -6,7 +6,7 @@ the printed value is the median.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -19,9 +19,10 @@ from tissueid.documents.identification import ComparisonRow, SamplerReport
 from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.diagnostics import diagnose
 from tissueid.inference.engine import refit
-from tissueid.inference.estimates import MAX_WIDTH
+from tissueid.inference.estimates import MAX_WIDTH, without_exchanged
 from tissueid.inference.optimum import ON_WALL, nearest_inside, root_of
 from tissueid.inference.reported import (
+    CENTRAL_95,
     GAINS,
     interval95,
     log_theta_prior,
@@ -48,6 +49,8 @@ KEPT_DRAWS = 2000
 WORSE = 1.1
 #: Widest total interval of ln viscosity that counts as identified where its time is not: a factor of seven.
 MAX_WIDTH_VISCOSITY = 2.0
+#: An effect that can't be negative may be none where the low end of its draws is within this of their median.
+NONE_SHARE = 0.1
 #: Names of a branch's time and viscosity, before its number.
 TIME, VISCOSITY = "relaxation_time_s", "viscosity_N_s_per_mm"
 
@@ -211,19 +214,53 @@ def _centred(fitted: FittedSpecimen, target: SpecimenTarget, draws: Draws) -> Fi
     return moved if moved.fit.nrmsd.range <= WORSE * fitted.fit.nrmsd.range else fitted
 
 
+def without_faults(
+    machine: FloatArray, total: Mapping[str, FloatArray]
+) -> Iterator[Mapping[str, FloatArray]]:
+    """Draws moved to where effects (n, k) that can't be negative are none: each alone, then all.
+
+    A machine without fault is the edge of its prior, which central intervals leave out; draws follow the
+    effects by a cubic, in the logarithm where they are well above zero.
+    """
+    low, middle = np.quantile(machine, (CENTRAL_95[0], 0.5), axis=0)
+    effects = machine[:, low < NONE_SHARE * middle]
+    k = effects.shape[1]
+    scaled = effects / np.maximum(effects.std(axis=0), 1e-300)
+    powers = np.hstack([scaled, scaled**2, scaled**3])
+    slopes: dict[str, tuple[bool, FloatArray]] = {}
+    for name, values in total.items():
+        low, middle = np.quantile(values, (CENTRAL_95[0], 0.5))
+        positive = bool(values.min() > 0.0 and low > NONE_SHARE * middle)
+        followed = np.log(values) if positive else values
+        centred = powers - powers.mean(axis=0)
+        slopes[name] = positive, np.linalg.lstsq(centred, followed - followed.mean(), rcond=1e-9)[0]
+    for gone in [[j] for j in range(k)] + ([list(range(k))] if k > 1 else []):
+        at = [j + k * power for j in gone for power in range(3)]
+        moved: dict[str, FloatArray] = {}
+        for name, (positive, slope) in slopes.items():
+            values, change = total[name], powers[:, at] @ slope[at]
+            moved[name] = values * np.exp(-change) if positive else values - change
+            if values.min() >= 0.0:
+                moved[name] = np.maximum(moved[name], 0.0)
+        yield moved
+
+
 def _uncertainties(
     names: list[str],
     statistical: Mapping[str, FloatArray],
     total: Mapping[str, FloatArray] | None,
+    machine: FloatArray,
     shape: tuple[int, int],
 ) -> dict[str, ParameterUncertainty]:
     """Mean, spread, intervals and diagnostics of each reported parameter."""
     base = statistical if total is None else total
+    edges = [interval95(one) for one in without_faults(machine, total)] if total is not None else []
     found = diagnose({name: base[name].reshape(shape) for name in names})
     central, wide = interval95(statistical), interval95(base)
     out = {}
     for name in names:
-        whole = (min(wide[name][0], central[name][0]), max(wide[name][1], central[name][1]))
+        lows, highs = zip(*(one[name] for one in (wide, central, *edges)), strict=True)
+        whole = (min(lows), max(highs))
         out[name] = ParameterUncertainty(
             mean=float(base[name].mean()),
             sd=float(base[name].std(ddof=1)),
@@ -262,7 +299,7 @@ def _with_medians(
         detail["width_ln"] = width if np.isfinite(width) else None
         told = (value, own.sd) if known else (None, None)
         out.append(replace(one, value=told[0], stderr=told[1], identified=known, detail=detail))
-    return tuple(out)
+    return without_exchanged(out)
 
 
 def _assembled(
@@ -274,7 +311,7 @@ def _assembled(
     total = reported_draws(model, draws.total) if instrument else None
     names = [one.name for one in fit.parameters]
     walkers, steps = sampled.chain.shape[:2]
-    found = _uncertainties(names, statistical, total, (walkers, steps))
+    found = _uncertainties(names, statistical, total, draws.vectors[:, target.cut_places], (walkers, steps))
     parameters = _with_medians(fit.parameters, statistical, found)
     later = next_indentation(fitted.identified)
     found = {name: replace(one, prediction95=later.get(name)) for name, one in found.items()}

@@ -43,6 +43,8 @@ CURVE_POINTS = 10_000
 CORNER_POINTS = 32
 #: Largest residual over the range of the force, and correlation of neighbours, from which they are told.
 RESIDUAL_SHARE, CORRELATED = 0.05, 0.5
+#: Standard deviations of the noise within which the largest of some thousand samples lies.
+RESIDUAL_SD = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,11 +117,11 @@ def _left_out(trial: Trial, segmentation: Segmentation, log: FittedLog) -> list[
 
 
 def _trial_flags(
-    trial: Trial, segmentation: Segmentation, log: FittedLog, *, share: float, acf: float
+    trial: Trial, segmentation: Segmentation, log: FittedLog, *, worst_N: float, share: float, acf: float
 ) -> tuple[Flag, ...]:
     """Remarks on one trial: of its reader, its segmenter and its residual."""
     flags = [*trial.flags, *segmentation.flags, *_left_out(trial, segmentation, log)]
-    if share > RESIDUAL_SHARE:
+    if share > RESIDUAL_SHARE and worst_N > RESIDUAL_SD * segmentation.force_noise_N:
         words = f"the largest residual is {100 * share:.1f} % of the force range"
         flags.append(Flag("residual_large", words, {"max_residual_fraction": share}))
     if acf > CORRELATED:
@@ -143,7 +145,8 @@ def summarise_trial(
     totals.add(force, predicted)
     residual = force - predicted
     spread = float(np.ptp(force))
-    share = float(np.abs(residual).max()) / spread if spread > 0.0 else 0.0
+    worst_N = float(np.abs(residual).max())
+    share = worst_N / spread if spread > 0.0 else 0.0
     acf = lag_one_correlation(residual)
     first = log.first - int(log.inserted)
     corners = [(phase.start - first, phase.stop - first) for phase in segmentation.of_kind("hold")]
@@ -167,5 +170,5 @@ def summarise_trial(
             model_N=fitted[keep],
             fitted=include[keep],
         ),
-        flags=_trial_flags(trial, segmentation, log, share=share, acf=acf),
+        flags=_trial_flags(trial, segmentation, log, worst_N=worst_N, share=share, acf=acf),
     )

@@ -7,7 +7,7 @@ is no candidate; the user's map wins over everything.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -74,6 +74,27 @@ class ColumnChoice:
     axes: Mapping[str, str]  # channels that hold a strain or stress, as declared or as their columns say
     interval_s: float | None = None  # of samples whose time is no column, but counted
     stated: Collection[str] = ()  # channels whose unit the user states
+    other_clock: int | None = None  # column of a time that is another channel's, by its name
+
+    def refuse_other_clock(
+        self, time_s: FloatArray, read: Callable[[ColumnChoice], Channels], place: Place, line: int | None
+    ) -> None:
+        """Refuse channels whose times drift apart by more than a sample; ``read``: of another choice."""
+        if self.other_clock is None:
+            return
+        try:
+            other = read(replace(self, index={**self.index, "time": self.other_clock}))[0]
+        except InputError:
+            return  # no column of numbers
+        if other.size != time_s.size or np.ptp(other - time_s) <= np.median(np.abs(np.diff(time_s))):
+            return
+        columns = [self.index["time"] + 1, self.other_clock + 1]
+        apart = float(np.abs(other - time_s).max())
+        message = (
+            f"the times in columns {columns[0]} and {columns[1]} differ by up to {apart:.3g} s: each channel"
+            f" has its own; export them at common times, or take one for all: --columns time=#{columns[0]}"
+        )
+        place.refuse("several_clocks", message, line=line, column=columns[1])
 
     def counted(self, columns: list[FloatArray]) -> list[FloatArray]:
         """Printed columns with the time by the number of the row, where that is no column."""
@@ -292,7 +313,26 @@ def choose_columns(
         message = f"no column is the time: it is counted, {interval_s:g} s a row"
         flags.append(Flag("time_counted", message, {"interval_s": interval_s}))
     stated = tuple(head.options.units)
-    return ColumnChoice(indices, printed, factors, tuple(flags), head.options.axes, interval_s, stated)
+    other = None if "time" in options.columns else _other_clock(head)
+    return ColumnChoice(indices, printed, factors, tuple(flags), head.options.axes, interval_s, stated, other)
+
+
+def _other_clock(head: _Head) -> int | None:
+    """A second time of the same name as the first, or of another channel where the first is of one."""
+    clocks = [column for _, column in head.candidates("time")]
+    if len(clocks) < 2:
+        return None
+
+    def owner(column: _Column) -> Channel | None:
+        words = plain_words(column.base).replace("time", " ").strip()
+        of = (channel for channel in CHANNELS[1:] if rank_of(words, channel, loose=True) is not None)
+        return next(of, None) if words else None
+
+    name, channel = plain_words(clocks[0].base), owner(clocks[0])
+    for column in clocks[1:]:
+        if plain_words(column.base) == name or (channel and owner(column) not in (None, channel)):
+            return column.index
+    return None
 
 
 def _user_column(head: _Head, channel: Channel, place: Place, line: int | None) -> _Column:

@@ -200,6 +200,9 @@ def _continuous(
     """Columns and rows, of a displacement that starts again at each turn where no other fits and does not."""
     first = choice = _choice(layout, options, place)
     read = columns, flags = read_body(text, layout, choice, place)
+    choice.refuse_other_clock(
+        columns[0], lambda other: read_body(text, layout, other, place)[0], place, layout.first_line
+    )
     said = [flag.values for flag in choice.flags if flag.values.get("quantity") == "displacement"]
     names = [name for values in said for name in values.get("alternatives", ())]
     while restart(columns[0], columns[1]) is not None:

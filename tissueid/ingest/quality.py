@@ -53,7 +53,9 @@ def no_decimals(*channels: FloatArray) -> Flag | None:
 def force_levels(displacement_mm: FloatArray, force_N: FloatArray) -> Flag | None:
     """``quantised_force`` or ``clipped_force``, where one of them holds."""
     repeats: NDArray[np.bool_] = np.diff(force_N) == 0.0
-    share = float(np.mean(repeats))
+    # a force at the end of its range repeats however fine its steps are
+    within = (force_N > force_N.min()) & (force_N < force_N.max())
+    share = float(np.mean(repeats[within[1:]])) if within[1:].any() else float(np.mean(repeats))
     levels = np.unique(force_N) if share >= _REPEATED_SHARE else np.empty(0)
     if not 1 < levels.size <= _FEW_LEVELS or force_N.size < _SAMPLES_PER_LEVEL * levels.size:
         return _clipped(displacement_mm, force_N, repeats)

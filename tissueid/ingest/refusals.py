@@ -42,6 +42,7 @@ REFUSAL_MEANINGS: Mapping[str, str] = MappingProxyType(
         "ragged_rows": "a row has more or fewer cells than the others",
         "mixed_tables": "rows of numbers stand outside the table of the recording",
         "time_backwards": "the time falls from one row to the next",
+        "several_clocks": "channels have times of their own, which differ",
         "implausible_range": "travel, force or time is beyond any test: decimal marks or units are wrong",
         # the log of a session
         "damaged_log": "the log of a rendered session is damaged, changed or of another version",

@@ -24,6 +24,7 @@ _ENGAGED = 5
 #: Lamps of ticks in which the device's force is not the tissue's: clipped, slewed, passivity, stalled, rms
 #: limit, dead-man, ramping, ruptured, a silent device, a late one.
 _INTERFERED = 1 | 2 | 4 | 32 | 64 | 128 | 256 | 512 | 4096 | 8192
+_CLIPPED = 1
 #: Lamps of ticks in which the whole force is taken up or away: dead-man, ramping.
 _RAMPED = 128 | 256
 #: The same, and those of a device that did not answer, or late, whose force is lowered.
@@ -92,6 +93,9 @@ def _table(log: SessionLog, records: RecordArray, place: Place) -> Table:
             "no_columns", "the session rendered a force law of its own: there is no tissue to identify"
         )
     force = np.linalg.norm(records["force_N"], axis=1) / scale["force_scale"]
+    # the length of a vector that was cut to the device's limit is that limit but for rounding
+    limit = ((records["lamps"] & _CLIPPED) != 0) & np.isclose(force, force.max(), rtol=1e-12, atol=0.0)
+    force[limit] = force.max()
     depth = _depth(log.head["surface"], records["position_m"], scale["motion_scale"])
     _agree(records, force, depth, place)
     label = int(records["label"][0])

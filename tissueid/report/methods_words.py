@@ -142,7 +142,8 @@ def _sampling_words(specimen: Specimen, run: Provenance) -> str:
         return "Errors are standard errors at the optimum; no posterior was sampled."
     known = [entry for entry in specimen.parameters if entry.r_hat is not None]
     worst = max((entry.r_hat for entry in known if entry.r_hat is not None), default=None)
-    least = min((entry.ess_bulk for entry in known if entry.ess_bulk is not None), default=None)
+    sizes = [one for entry in known for one in (entry.ess_bulk, entry.ess_tail) if one is not None]
+    least = min(sizes, default=None)
     told = [f"{sampler.draws:,} draws"]
     if run.options.get("draws") is not None:
         told[0] += f", for {run.options['draws']:,} effective ones"
