@@ -16,8 +16,8 @@ RefusalCode = Literal[
     "reader_failed", "job_failed", "out_of_memory", "worker_killed", "other_versions", "no_trial_sheet",
     "unknown_sheet", "no_recording", "no_rows", "no_columns", "column_not_found", "unknown_unit",
     "wrong_unit", "unit_conflict", "ambiguous_decimal", "inconsistent_decimal", "damaged_number",
-    "text_in_numbers", "empty_cell", "not_finite", "ragged_rows", "mixed_tables", "time_backwards", "several_clocks",
-    "implausible_range", "invalid_study", "study_unmatched", "invalid_frame", "damaged_log",
+    "text_in_numbers", "empty_cell", "not_finite", "ragged_rows", "mixed_tables", "time_backwards",
+    "several_clocks", "implausible_range", "invalid_study", "study_unmatched", "invalid_frame", "damaged_log",
     "wrong_scale", "not_rigid", "frame_range", "no_contact", "fit_failed", "mixed_axes",
     "too_few_samples",
 ]  # fmt: skip
