@@ -297,7 +297,9 @@ def without_exchanged(parameters: Sequence[Estimate]) -> tuple[Estimate, ...]:
     """
     taken: set[str] = set()
     for slow in parameters:
-        if not (slow.name.startswith("relaxation_time_s") and slow.detail.get("open_high")):
+        ends = (slow.detail.get("open_low"), slow.detail.get("open_high"))
+        # open on both sides there is no relaxation
+        if not slow.name.startswith("relaxation_time_s") or ends != (False, True):
             continue
         suffix = slow.name.removeprefix("relaxation_time_s")
         names = [one.name for one in parameters]
