@@ -183,15 +183,6 @@ def _corners(time: FloatArray, depth: FloatArray) -> tuple[FloatArray, FloatArra
     return (time[i] + after)[inside], (depth[i] + left * after)[inside]
 
 
-def _with_corners(
-    grid: tuple[FloatArray, FloatArray], at: IntArray, corners: tuple[FloatArray, FloatArray]
-) -> tuple[FloatArray, FloatArray, IntArray]:
-    """A broken line with further points, and where its observations lie then."""
-    place = np.searchsorted(grid[0], corners[0])
-    moved = at + np.searchsorted(place, at, side="right")
-    return np.insert(grid[0], place, corners[0]), np.insert(grid[1], place, corners[1]), moved
-
-
 def _with_lead(time: FloatArray, depth: FloatArray, sd_mm: float, step_s: float) -> tuple[float, float]:
     """A point before contact on the line that the first samples show."""
     reach = min(time.size - 1, 4)
@@ -215,7 +206,10 @@ def log_blocks(
     got = _single_samples(data, step_s=step_s, whole=whole) if single else _reduced(data, step_s=step_s)
     grid_t, grid_x, at = got.grid_s, got.grid_mm, got.at
     if not data.exact:
-        grid_t, grid_x, at = _with_corners((grid_t, grid_x), at, _corners(time, data.depth_mm))
+        corners_s, corners_mm = _corners(time, data.depth_mm)
+        place = np.searchsorted(grid_t, corners_s)
+        grid_t, grid_x = np.insert(grid_t, place, corners_s), np.insert(grid_x, place, corners_mm)
+        at = at + np.searchsorted(place, at, side="right")
     if leads:
         t0, x0 = _with_lead(grid_t, grid_x, contact_sd_mm, step_s)
         grid_t, grid_x = np.concatenate([[t0], grid_t]), np.concatenate([[x0], grid_x])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -296,27 +297,18 @@ def without_exchanged(parameters: Sequence[Estimate]) -> tuple[Estimate, ...]:
     with a larger K, a larger viscosity and a smaller F_s, up to the degree of K x.
     """
     taken: set[str] = set()
+    names = [one.name for one in parameters]
     for slow in parameters:
-        ends = (slow.detail.get("open_low"), slow.detail.get("open_high"))
         # open on both sides there is no relaxation
-        if not slow.name.startswith("relaxation_time_s") or ends != (False, True):
-            continue
-        suffix = slow.name.removeprefix("relaxation_time_s")
-        names = [one.name for one in parameters]
-        own = {name for name in names if (name.endswith(suffix) if suffix else "_b" not in name)}
-        taken |= {name for name in own if name.startswith(("stiffness", "viscosity"))}
-        powers = sum(name.startswith("stiffness") for name in own)
-        taken |= {name for name in names if name.startswith("static") and _power(name) <= powers}
-    return tuple(
-        replace(one, value=None, stderr=None, identified=False) if one.name in taken else one
-        for one in parameters
-    )
-
-
-def _power(name: str) -> int:
-    """The power of depth of a static coefficient, 0 of another law's."""
-    power = name.split("_")[1]
-    return int(power) if power.isdigit() else 0
+        if slow.detail.get("open_high") and not slow.detail["open_low"]:
+            suffix = slow.name.removeprefix("relaxation_time_s")
+            own = [name for name in names if (name.endswith(suffix) if suffix else "_b" not in name)]
+            curve = [name for name in own if name.startswith("stiffness")]
+            kept = tuple(f"static_{power}_" for power in (1, 2, 3) if power > len(curve))
+            static = [name for name in names if name.startswith("static") and not name.startswith(kept)]
+            taken |= {*curve, *static, f"viscosity_N_s_per_mm{suffix}"}
+    unknown = partial(replace, value=None, stderr=None, identified=False)
+    return tuple(unknown(one) if one.name in taken else one for one in parameters)
 
 
 def slow_share(identified: Identified) -> float:

@@ -6,6 +6,7 @@ A step solves its quadratic model within the passive cone (Lawson & Hanson 1974,
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -243,12 +244,10 @@ class _At(NamedTuple):
 
 def _factor(scaled: FloatArray) -> tuple[FloatArray, bool]:
     """Cholesky factor of a matrix with a diagonal of ones, steadied as far as its rounding takes."""
-    for share in STEADIED[:-1]:
-        try:
+    for share in STEADIED:
+        with suppress(np.linalg.LinAlgError):
             return cho_factor(scaled + share * np.eye(len(scaled)))
-        except np.linalg.LinAlgError:
-            continue
-    return cho_factor(scaled + STEADIED[-1] * np.eye(len(scaled)))
+    raise np.linalg.LinAlgError("no direction of a step is known")
 
 
 def _step(
@@ -314,12 +313,6 @@ def _frozen(system: System, machine: bool, held: NDArray[np.int64] | None) -> Fl
     return out
 
 
-def _active(prior: PriorRows, shared: FloatArray) -> NDArray[np.bool_]:
-    """Constraints that hold with equality."""
-    size = np.abs(prior.cone) @ np.maximum(np.abs(shared), 1e-12)
-    return np.asarray(prior.cone @ shared - prior.least <= ACTIVE * size)
-
-
 def minimise(
     system: System,
     point: Point,
@@ -376,10 +369,12 @@ def minimise(
         slow = slow + 1 if rival is not None and gain < max(LITTLE, behind) else 0
         if slow == SLOW_STEPS:
             break
+    walls, shared = here.prior, here.point.shared
+    size = np.abs(walls.cone) @ np.maximum(np.abs(shared), 1e-12)
     return Optimum(
         point=here.point, normal=here.normal, prior=here.prior, noise=Noise(here.noise_N, memory),
         covariance=covariance_of(here.normal.hessian + np.diag(frozen)), converged=converged,
-        active=_active(here.prior, here.point.shared),
+        active=walls.cone @ shared - walls.least <= ACTIVE * size,
     )  # fmt: skip
 
 

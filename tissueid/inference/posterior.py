@@ -214,9 +214,7 @@ def _centred(fitted: FittedSpecimen, target: SpecimenTarget, draws: Draws) -> Fi
     return moved if moved.fit.nrmsd.range <= WORSE * fitted.fit.nrmsd.range else fitted
 
 
-def without_faults(
-    machine: FloatArray, total: Mapping[str, FloatArray]
-) -> Iterator[Mapping[str, FloatArray]]:
+def without_faults(machine: FloatArray, total: Mapping[str, FloatArray]) -> Iterator[dict[str, FloatArray]]:
     """Draws moved to where effects (n, k) that can't be negative are none: each alone, then all.
 
     A machine without fault is the edge of its prior, which central intervals leave out; draws follow the
@@ -227,21 +225,20 @@ def without_faults(
     k = effects.shape[1]
     scaled = effects / np.maximum(effects.std(axis=0), 1e-300)
     powers = np.hstack([scaled, scaled**2, scaled**3])
+    centred = powers - powers.mean(axis=0)
     slopes: dict[str, tuple[bool, FloatArray]] = {}
     for name, values in total.items():
         low, middle = np.quantile(values, (CENTRAL_95[0], 0.5))
         positive = bool(values.min() > 0.0 and low > NONE_SHARE * middle)
         followed = np.log(values) if positive else values
-        centred = powers - powers.mean(axis=0)
         slopes[name] = positive, np.linalg.lstsq(centred, followed - followed.mean(), rcond=1e-9)[0]
     for gone in [[j] for j in range(k)] + ([list(range(k))] if k > 1 else []):
         at = [j + k * power for j in gone for power in range(3)]
         moved: dict[str, FloatArray] = {}
         for name, (positive, slope) in slopes.items():
             values, change = total[name], powers[:, at] @ slope[at]
-            moved[name] = values * np.exp(-change) if positive else values - change
-            if values.min() >= 0.0:
-                moved[name] = np.maximum(moved[name], 0.0)
+            found = values * np.exp(-change) if positive else values - change
+            moved[name] = np.maximum(found, 0.0) if values.min() >= 0.0 else found
         yield moved
 
 

@@ -92,15 +92,6 @@ def _corner_columns(
     return np.column_stack(columns) if columns else np.zeros((time.size, 0))
 
 
-def _own_columns(model: ChannelModel, theta: FloatArray, log: FittedLog, fitted: FloatArray) -> FloatArray:
-    """Derivatives of one log's force by its own parameters, shape (n, q)."""
-    x = np.maximum(log.data.depth_mm, 0.0)
-    step = DEPTH_STEP * model.depth_mm
-    # the branch's share of a contact error is that of K's slope, which is small beside F_s'
-    slope = (model.static_force(theta, x + step) - model.static_force(theta, x)) / step
-    return np.column_stack([fitted, -slope])
-
-
 def residual_blocks(
     segmentation: Segmentation,
     log: FittedLog,
@@ -125,7 +116,10 @@ def residual_blocks(
         total = np.add.reduceat(columns[used], first, axis=0)
         return np.asarray(total / count.reshape(-1, *[1] * (columns.ndim - 1)))
 
-    by_log = _own_columns(model, theta, log, fitted)
+    x, step = np.maximum(data.depth_mm, 0.0), DEPTH_STEP * model.depth_mm
+    # the branch's share of a contact error is that of K's slope, which is small beside F_s'
+    slope = (model.static_force(theta, x + step) - model.static_force(theta, x)) / step
+    by_log = np.column_stack([fitted, -slope])
     by_corner = _corner_columns(model, theta, log, segmentation)
     return ResidualBlocks(
         phase=keys[first, 0],

@@ -81,12 +81,6 @@ class LawSurface:
         return SurfaceResponse(self.law, self.log_times, self.linear, self.offset, changes / steps[:, None])
 
 
-def _surfaces(found: Identified, point: Point) -> list[LawSurface]:
-    """Surfaces of the logs under a fit's law at a point."""
-    offsets = found.system.offsets(point)
-    return [LawSurface(found.law, point.log_times, point.linear, float(by)) for by in offsets]
-
-
 def _moved(before: Point, now: Identified) -> float:
     """Largest difference of shared parameters from those whose surface was followed, in standard errors."""
     error = np.sqrt(np.maximum(np.diag(now.optimum.covariance), 0.0))
@@ -102,8 +96,9 @@ def follow_surfaces(
     change, count, at = float("inf"), 0, found.optimum.point
     for count in range(1, MAX_ROUNDS + 1):
         tick(f"free surface, round {count}")
-        on = zip(current, _surfaces(found, at), strict=True)
-        found, current = identify([replace(handle, surface=surface) for handle, surface in on])
+        law, offsets = (found.law, at.log_times, at.linear), found.system.offsets(at).tolist()
+        on = zip(current, offsets, strict=True)
+        found, current = identify([replace(handle, surface=LawSurface(*law, by)) for handle, by in on])
         before, change = change, _moved(at, found)
         if change < SETTLED_SD:
             break

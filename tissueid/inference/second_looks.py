@@ -37,10 +37,8 @@ MAX_EVALUATIONS, TOLERANCE = 300, 1e-10
 RESTARTED = 100
 #: Twice the log density by which its optimum must be better: less is within one standard error.
 LOWER = 1.0
-#: Share of the walls by which a point may lie beyond them.
-WALL = 1e-6
-#: Parameters and residuals are kept below this; what is as small beside the largest is nothing.
-BEYOND, ROUNDING = 1e12, 1e-12
+#: Parameters and residuals are kept below this; shares of the largest, and of a wall, that are nothing.
+BEYOND, ROUNDING, WALL = 1e12, 1e-12, 1e-6
 #: ln tau is kept within this.
 FARTHEST = 40.0
 

@@ -41,10 +41,8 @@ def over_force(rmse: float, spread: float, mean: float) -> Nrmsd:
 CURVE_POINTS = 10_000
 #: Of them, behind the corner of a hold, evenly in the logarithm of the time since.
 CORNER_POINTS = 32
-#: Largest residual over the range of the force, and correlation of neighbours, from which they are told.
-RESIDUAL_SHARE, CORRELATED = 0.05, 0.5
-#: Standard deviations of the noise within which the largest of some thousand samples lies.
-RESIDUAL_SD = 5.0
+#: Largest residual over the range of the force and over the noise, and correlation of neighbours, to be told.
+RESIDUAL_SHARE, RESIDUAL_SD, CORRELATED = 0.05, 5.0, 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
