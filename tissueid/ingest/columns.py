@@ -329,7 +329,7 @@ def _other_clock(head: _Head) -> int | None:
         return next(of, None) if words else None
 
     name, channel = plain_words(clocks[0].base), owner(clocks[0])
-    for column in clocks[1:]:
+    for column in (one for one in clocks[1:] if one.unit == clocks[0].unit):
         if plain_words(column.base) == name or (channel and owner(column) not in (None, channel)):
             return column.index
     return None
