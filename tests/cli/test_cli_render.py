@@ -67,6 +67,20 @@ def test_the_log_fits_back_to_the_tissue_that_was_rendered(log, tmp_path):
     assert "rendered" in {flag["code"] for trial in specimen["trials"] for flag in trial["flags"]}
 
 
+def test_forces_at_the_limit_of_the_device_are_told_as_clipped(bundle, tmp_path, monkeypatch):
+    log, script = tmp_path / "deep.h5", "indent 16 mm at 250 mm/min; hold 1 s"
+    run("render", bundle, "--device", "sim", "--script", script, "--virtual", "--log", log, code=0)
+    whole = read_session_log(log)
+    at_limit = whole.records["lamps"] & Lamp.CLIPPED != 0
+    records = whole.records.copy()
+    # lengths of vectors of one length differ in the last digit
+    records["force_N"][np.flatnonzero(at_limit)[::2]] *= 1.0 - 2.0**-52
+    monkeypatch.setattr(session, "read_session_log", lambda *_, **__: replace(whole, records=records))
+    (trial,) = read_trials(log)
+    (clipped,) = [flag for flag in trial.flags if flag.code == "clipped_force"]
+    assert np.count_nonzero(trial.force_N == clipped.values["force_N"]) == np.count_nonzero(at_limit) > 1000
+
+
 @pytest.mark.parametrize("lamp", [Lamp.RAMPING, Lamp.SILENT, Lamp.LATENCY])
 def test_a_pause_of_the_force_in_contact_is_no_part_of_the_recording(log, monkeypatch, lamp):
     whole = read_session_log(log)

@@ -114,6 +114,8 @@ def test_sampler_noise_priors_models_and_checks_are_told(sure):
         "where the model itself is wrong they say nothing",
     ):
         assert said in text
+    # and in the methods paragraph, as it is shown and as it is copied
+    assert sure.count("at least 8,700 effective draws") == 3
     assert re.search(r"Gain of the force normal, mean 1, sd 0.01 default .* 2 % the data said little", text)
     told = "correlated (AR(1)), 0.300 N in all; the correlated part keeps 0.6 of itself over 0.0100 s"
     assert told in checked

@@ -313,6 +313,12 @@ def _frozen(system: System, machine: bool, held: NDArray[np.int64] | None) -> Fl
     return out
 
 
+def _active(prior: PriorRows, shared: FloatArray) -> NDArray[np.bool_]:
+    """Constraints that hold with equality."""
+    size = np.abs(prior.cone) @ np.maximum(np.abs(shared), 1e-12)
+    return np.asarray(prior.cone @ shared - prior.least <= ACTIVE * size)
+
+
 def minimise(
     system: System,
     point: Point,
@@ -357,9 +363,8 @@ def minimise(
         if (rise := _rise(system, here, there, scaled=not sigma_N)) > WORSE:
             system.deflection, damping = here.frame, damping * BACK
             continue
-        gain = min(gain, -rise)
         largest = _change(here.normal, here.point, moved, frozen == 0.0)
-        here = there
+        gain, here = min(gain, -rise), there
         # what shared parameters no longer gain, those of the logs may
         if largest < STILL and gain < NO_GAIN:
             converged = True
@@ -369,12 +374,10 @@ def minimise(
         slow = slow + 1 if rival is not None and gain < max(LITTLE, behind) else 0
         if slow == SLOW_STEPS:
             break
-    walls, shared = here.prior, here.point.shared
-    size = np.abs(walls.cone) @ np.maximum(np.abs(shared), 1e-12)
     return Optimum(
         point=here.point, normal=here.normal, prior=here.prior, noise=Noise(here.noise_N, memory),
         covariance=covariance_of(here.normal.hessian + np.diag(frozen)), converged=converged,
-        active=walls.cone @ shared - walls.least <= ACTIVE * size,
+        active=_active(here.prior, here.point.shared),
     )  # fmt: skip
 
 

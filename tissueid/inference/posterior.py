@@ -220,26 +220,23 @@ def without_faults(machine: FloatArray, total: Mapping[str, FloatArray]) -> Iter
     A machine without fault is the edge of its prior, which central intervals leave out; draws follow the
     effects by a cubic, in the logarithm where they are well above zero.
     """
-    low, middle = np.quantile(machine, (CENTRAL_95[0], 0.5), axis=0)
-    effects = machine[:, low < NONE_SHARE * middle]
-    k = effects.shape[1]
-    scaled = effects / np.maximum(effects.std(axis=0), 1e-300)
+    least, usual = np.quantile(machine, (CENTRAL_95[0], 0.5), axis=0)
+    effects = machine[:, least < NONE_SHARE * usual]
+    k, scaled = effects.shape[1], effects / np.maximum(effects.std(axis=0), 1e-300)
     powers = np.hstack([scaled, scaled**2, scaled**3])
-    centred = powers - powers.mean(axis=0)
-    slopes: dict[str, tuple[bool, FloatArray]] = {}
-    for name, values in total.items():
+
+    def moved(values: FloatArray, gone: list[int]) -> FloatArray:
         low, middle = np.quantile(values, (CENTRAL_95[0], 0.5))
         positive = bool(values.min() > 0.0 and low > NONE_SHARE * middle)
         followed = np.log(values) if positive else values
-        slopes[name] = positive, np.linalg.lstsq(centred, followed - followed.mean(), rcond=1e-9)[0]
-    for gone in [[j] for j in range(k)] + ([list(range(k))] if k > 1 else []):
-        at = [j + k * power for j in gone for power in range(3)]
-        moved: dict[str, FloatArray] = {}
-        for name, (positive, slope) in slopes.items():
-            values, change = total[name], powers[:, at] @ slope[at]
-            found = values * np.exp(-change) if positive else values - change
-            moved[name] = np.maximum(found, 0.0) if values.min() >= 0.0 else found
-        yield moved
+        slope = np.linalg.lstsq(powers - powers.mean(axis=0), followed - followed.mean(), rcond=1e-9)[0]
+        left = followed - powers[:, gone] @ slope[gone]
+        out = np.exp(left) if positive else left
+        return np.asarray(np.maximum(out, 0.0) if values.min() >= 0.0 else out)
+
+    for none in [[j] for j in range(k)] + ([list(range(k))] if k > 1 else []):
+        gone = [j + k * power for j in none for power in range(3)]
+        yield {name: moved(values, gone) for name, values in total.items()}
 
 
 def _uncertainties(
@@ -257,12 +254,11 @@ def _uncertainties(
     out = {}
     for name in names:
         lows, highs = zip(*(one[name] for one in (wide, central, *edges)), strict=True)
-        whole = (min(lows), max(highs))
         out[name] = ParameterUncertainty(
             mean=float(base[name].mean()),
             sd=float(base[name].std(ddof=1)),
             ci95=central[name],
-            ci95_total=None if total is None else whole,
+            ci95_total=None if total is None else (min(lows), max(highs)),
             **asdict(found[name]),
         )
     return out

@@ -71,9 +71,8 @@ class LawSurface:
     def response(self, time_s: FloatArray, tool_mm: FloatArray, path_mm: FloatArray) -> SurfaceResponse:
         """Response of the path by finite differences; ``path_mm`` is the path itself."""
         scale = np.maximum(np.abs(self.linear), LEAST_COEFFICIENT * np.abs(self.linear).max(initial=0.0))
-        moved = [
-            replace(self, log_times=self.log_times + one) for one in RESPONSE * np.eye(self.log_times.size)
-        ]
+        times = self.log_times
+        moved = [replace(self, log_times=times + one) for one in RESPONSE * np.eye(times.size)]
         moved += [replace(self, linear=self.linear + one) for one in RESPONSE * np.diag(scale)]
         moved += [replace(self, offset=self.offset + RESPONSE)]
         changes = np.array([one.follow(time_s, tool_mm)[0] - path_mm for one in moved])

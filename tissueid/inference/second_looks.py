@@ -148,10 +148,8 @@ def both_optimisers(identified: Identified) -> tuple[dict[str, Any], Point]:
         warnings.simplefilter("ignore")
         found = lmfit.Minimizer(residual, parameters, scale_covar=False).leastsq(
             Dfun=lambda values: np.nan_to_num(problem.jacobian(vector(values))),
-            max_nfev=MAX_EVALUATIONS,
-            ftol=TOLERANCE,
-            xtol=TOLERANCE,
-        )
+            max_nfev=MAX_EVALUATIONS, ftol=TOLERANCE, xtol=TOLERANCE,
+        )  # fmt: skip
     reached = vector(found.params)
     variance = identified.optimum.noise.sigma_N**2
     lm_value = float((problem.residual(reached) ** 2).sum())
@@ -175,7 +173,7 @@ def both_optimisers(identified: Identified) -> tuple[dict[str, Any], Point]:
         "lm_converged": bool(found.success),
         "agree": None if (at_bound or kept_out) and not agree else agree,
         "bound_active": at_bound,
-        "prior_cost": prior_cost(identified.optimum.prior, identified.optimum.point),
+        "prior_cost": prior_cost(prior, identified.optimum.point),
         "sigma_gain": identified.scatter.gain if identified.system.effects.gain else None,
     }
     return told, point

@@ -13,6 +13,7 @@ import numpy as np
 from tissueid.arrays import FloatArray, kept_samples
 from tissueid.flags import Flag
 from tissueid.inference.window import FittedLog
+from tissueid.measured.relaxation import NOISE_FACTOR, RESIDUAL_SHARE
 from tissueid.result import Curve, Nrmsd, TrialFit
 from tissueid.signal_noise import lag_one_correlation
 from tissueid.trial import Segmentation, Trial
@@ -41,8 +42,8 @@ def over_force(rmse: float, spread: float, mean: float) -> Nrmsd:
 CURVE_POINTS = 10_000
 #: Of them, behind the corner of a hold, evenly in the logarithm of the time since.
 CORNER_POINTS = 32
-#: Largest residual over the range of the force and over the noise, and correlation of neighbours, to be told.
-RESIDUAL_SHARE, RESIDUAL_SD, CORRELATED = 0.05, 5.0, 0.5
+#: Correlation of neighbouring residuals from which it is told.
+CORRELATED = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +120,7 @@ def _trial_flags(
 ) -> tuple[Flag, ...]:
     """Remarks on one trial: of its reader, its segmenter and its residual."""
     flags = [*trial.flags, *segmentation.flags, *_left_out(trial, segmentation, log)]
-    if share > RESIDUAL_SHARE and worst_N > RESIDUAL_SD * segmentation.force_noise_N:
+    if share > RESIDUAL_SHARE and worst_N > NOISE_FACTOR * segmentation.force_noise_N:
         words = f"the largest residual is {100 * share:.1f} % of the force range"
         flags.append(Flag("residual_large", words, {"max_residual_fraction": share}))
     if acf > CORRELATED:

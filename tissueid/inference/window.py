@@ -109,6 +109,12 @@ class FreeSurface(Protocol):
         """Response of that depth to the law."""
 
 
+def _crossed(time_s: FloatArray, depth_mm: FloatArray, *, exact: bool) -> float:
+    """Time at which a tool crosses the surface between two samples; a rendered law starts from the first."""
+    share = 1.0 if exact else depth_mm[1] / (depth_mm[1] - depth_mm[0])
+    return float(time_s[1] - share * (time_s[1] - time_s[0]))
+
+
 def _clipped(trial: Trial) -> NDArray[np.bool_]:
     """Samples at the limit of the cell."""
     limits = [flag.values["force_N"] for flag in trial.flags if flag.code == "clipped_force"]
@@ -125,9 +131,8 @@ def fitted_log(
 ) -> FittedLog | None:
     """The fitted part of a trial, or ``None`` where there is nothing to fit.
 
-    ``guard``: leave the neighbourhood of contact out even where the record seems to start in contact,
-    which may have begun after its first sample; ``whole``: to the end of the recording, unloading and
-    all; ``surface``: a law that follows it, else the force tells.
+    ``guard``: leave the neighbourhood of contact out even where the record seems to start in contact;
+    ``whole``: to the end, unloading and all; ``surface``: a law that follows it, else the force tells.
     """
     if (contact := segmentation.contact) is None:
         return None
@@ -142,9 +147,7 @@ def fitted_log(
     exact = trial.protocol.kind == RENDERED
     inserted = contact.in_record and 0 < first < depth.size and bool(depth[first] > 0.0 >= depth[first - 1])
     if inserted:
-        # a rendered law starts from the sample before it
-        share = 1.0 if exact else depth[first] / (depth[first] - depth[first - 1])
-        start = trial.time_s[first] - share * (trial.time_s[first] - trial.time_s[first - 1])
+        start = _crossed(trial.time_s[first - 1 : first + 1], depth[first - 1 : first + 1], exact=exact)
         time, x, f = np.append(start, time), np.append(0.0, x), np.append(0.0, f)
         include = np.append(False, include)
     tool, response, ahead = None, None, first - int(inserted)

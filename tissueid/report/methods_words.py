@@ -10,7 +10,7 @@ from markupsafe import Markup, escape
 
 from tissueid.digits import number
 from tissueid.documents.identification import Identification, Provenance, Specimen
-from tissueid.report.wording import counted, depth_words, reach, tissue_sentence
+from tissueid.report.wording import counted, depth_words, least_effective, reach, tissue_sentence
 
 #: As in CITATION.cff.
 AUTHORS = "The tissueid developers"
@@ -142,8 +142,7 @@ def _sampling_words(specimen: Specimen, run: Provenance) -> str:
         return "Errors are standard errors at the optimum; no posterior was sampled."
     known = [entry for entry in specimen.parameters if entry.r_hat is not None]
     worst = max((entry.r_hat for entry in known if entry.r_hat is not None), default=None)
-    sizes = [one for entry in known for one in (entry.ess_bulk, entry.ess_tail) if one is not None]
-    least = min(sizes, default=None)
+    least = least_effective(specimen)
     told = [f"{sampler.draws:,} draws"]
     if run.options.get("draws") is not None:
         told[0] += f", for {run.options['draws']:,} effective ones"
@@ -153,7 +152,7 @@ def _sampling_words(specimen: Specimen, run: Provenance) -> str:
     if worst is not None:
         told.append(f"R-hat at most {worst:.3f}")
     if least is not None:
-        told.append(f"at least {int(least):,} effective draws")
+        told.append(f"at least {least:,} effective draws")
     return (
         f"The posterior, with the linear parameters integrated, was sampled by {sampler.name} "
         f"({'; '.join(told)}). {_interval_words(specimen)}"

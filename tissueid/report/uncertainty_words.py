@@ -9,7 +9,15 @@ from typing import Any
 from tissueid.digits import NOT_IDENTIFIED, number, together, with_error
 from tissueid.documents.identification import BudgetRow, Estimate, Specimen
 from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
-from tissueid.report.wording import counted, depth_words, misfit_raised, parameter_words, reach, unit_words
+from tissueid.report.wording import (
+    counted,
+    depth_words,
+    least_effective,
+    misfit_raised,
+    parameter_words,
+    reach,
+    unit_words,
+)
 
 #: Kinds of parameters in the order of the publication, and what they are called beside a symbol.
 _KINDS = {
@@ -171,13 +179,13 @@ def _sampler_sentence(specimen: Specimen) -> str:
     if sampler is None:
         return ""
     detail, known = sampler.detail, [one for one in specimen.parameters if one.ess_bulk is not None]
-    effective = [one for entry in known for one in (entry.ess_bulk, entry.ess_tail) if one is not None]
+    least = least_effective(specimen)
     r_hats = [entry.r_hat for entry in known if entry.r_hat is not None]
     sizes = ("walkers", "steps") if sampler.name == "emcee" else ()
     parts = [
         *(f"{detail[key]:,} {key}" for key in sizes if isinstance(detail.get(key), int)),
         f"{sampler.draws:,} draws kept",
-        *(f"at least {int(one):,} effective draws of every parameter" for one in sorted(effective)[:1]),
+        *([] if least is None else [f"at least {least:,} effective draws of every parameter"]),
         *(f"R-hat at most {one:.3f}" for one in sorted(r_hats)[-1:]),
         f"{100 * sampler.acceptance:.0f} % of the proposals accepted",
     ]

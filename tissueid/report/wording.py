@@ -22,6 +22,12 @@ from tissueid.trial import Axes
 LEVELS = ("ok", "note", "caution", "serious")
 
 
+def least_effective(specimen: Specimen) -> int | None:
+    """Effective draws that every parameter has at least, in the bulk and in the tails."""
+    sizes = [size for one in specimen.parameters for size in (one.ess_bulk, one.ess_tail)]
+    return min((int(size) for size in sizes if size is not None), default=None)
+
+
 @dataclass(frozen=True, slots=True)
 class Remark:
     """One flag for a reader, gathered over a specimen's trials."""
