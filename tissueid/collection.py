@@ -23,7 +23,7 @@ from tissueid.errors import InputError
 from tissueid.inference.frame_effect import beyond_calibration, frame_flags
 from tissueid.inference.logs import LogHandle
 from tissueid.inference.specimen import FitOptions
-from tissueid.inference.verdict import gain_spread, order_effect, repeated_sites
+from tissueid.inference.verdict import order_effect, repeated_sites, spread_flags
 from tissueid.inference.window import fitted_log
 from tissueid.manifest import Decision, Study, TomlTable
 from tissueid.measured.cycles import cycle_rows
@@ -303,7 +303,7 @@ def study_flags(fit: SpecimenFit, collected: Collected, study: Study | None) -> 
     values = {} if study is None else study.calibration.values
     flags = [
         *frame_flags(fit, frame, values),
-        *gain_spread(fit.trials),
+        *spread_flags(fit.trials),
         *order_effect(fit.trials, [row.get("run") for row in rows]),
         *repeated_sites(fit.trials, rows),
     ]

@@ -147,7 +147,7 @@ class Curve:
 #: Numbers of a trial, in the order of the file.
 _OF_TRIAL = (
     *("max_residual_fraction", "residual_acf1", "gain", "contact_offset_mm", "speed_mm_s", "depth_mm"),
-    "n_samples",
+    *("n_samples", "time_ratio"),
 )
 
 
@@ -169,6 +169,7 @@ class TrialFit:
     flags: tuple[Flag, ...] = ()
     residual: ResidualSummary | None = None
     measured: Measured | None = None
+    time_ratio: float = 1.0
 
     def as_json(self) -> dict[str, Any]:
         """The ``trials`` object of the schema: ``nrmsd`` is by range (curves are kept in HDF5, not here)."""

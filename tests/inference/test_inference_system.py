@@ -17,11 +17,12 @@ from tissueid.model.grammar import parsed
 
 LAW = kelvin_voigt_law(2, 1, 4.0)
 THETA = np.array([20.0, -1.2, 0.35, 60.0, 8.0, 0.05, 25.0, -2.0, 1.2])
-ALL = Effects(gain=True, shape=True)
+ALL = Effects(gain=True, shape=True, time=True)
 
 
-def force_of(time, depth):
-    return LAW.model().force(THETA, ContactPath(time, depth))
+def force_of(time, depth, slower=1.0):
+    theta = THETA * np.where(np.isin(np.arange(9), (5, 8)), slower, 1.0)
+    return LAW.model().force(theta, ContactPath(time, depth))
 
 
 def three_logs(rate=200.0):
@@ -36,7 +37,7 @@ def three_logs(rate=200.0):
 def scattered(system: System, rng, machine=(0.0, 0.0, 0.0)):
     """A point with something of its own in every log, all of them in contact from their first sample."""
     point = point_of(LAW, THETA, logs=3, own=ALL.size, machine=machine)
-    own = rng.normal(size=point.own.shape) * np.array([0.1, 0.01, 0.1, 0.1])
+    own = rng.normal(size=point.own.shape) * np.array([0.1, 0.01, 0.2, 0.1, 0.1])
     own[:, 1] = -np.abs(own[:, 1]) - 0.01
     return replace(point, own=own)
 
@@ -98,16 +99,16 @@ def test_a_closed_machine_has_no_derivatives():
     np.testing.assert_allclose(found.force, system.predict(point))
 
 
-def test_gain_contact_and_shape_of_a_log_are_its_own():
+def test_gain_contact_times_and_shape_of_a_log_are_its_own():
     system = system_of(three_logs(), LAW, effects=ALL, whole=True)
     own = np.zeros((3, ALL.size))
-    own[1] = [np.log(1.1), 0.02, 0.3, -0.2]
+    own[1] = [np.log(1.1), 0.02, np.log(1.3), 0.3, -0.2]
     found = system.predict(replace(point_of(LAW, THETA, logs=3, own=ALL.size), own=own))
     time, depth = ramp_hold(200.0, 4.0, 4.0, 3.0)
     # contact lies 0.08 mm deeper: the samples before it are in air
     below = np.maximum(depth - 0.02 * 4.0, 0.0)
     fine = np.linspace(0.0, time[-1], 20 * (time.size - 1) + 1)
-    exact = np.interp(time, fine, force_of(fine, np.maximum(np.minimum(4.0 * fine, 4.0) - 0.08, 0.0)))
+    exact = np.interp(time, fine, force_of(fine, np.maximum(np.minimum(4.0 * fine, 4.0) - 0.08, 0.0), 1.3))
     # a shape bends the gain of all forces between the surface and the largest depth
     u = below / 4.0
     expected = exact * 1.1 * np.exp(0.3 * (1.0 - u) ** 2 - 0.2 * 2.0 * u * (1.0 - u))

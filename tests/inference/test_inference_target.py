@@ -107,7 +107,7 @@ def test_correlated_noise_has_its_dense_covariance():
 
 
 def test_what_logs_have_for_themselves_is_integrated():
-    """Gains, contacts and shapes are linear about the optimum: a normal of the whole covariance."""
+    """Gains, contacts, times and shapes are linear about the optimum: a normal of the whole covariance."""
     ours = identified(handles_for(draw(SHORT, 2), sd_mm=0.02), pooling="scaled", noise="white")
     at = SpecimenTarget(ours, machine=False)
     system, own = ours.system, ours.optimum.point.own
@@ -126,9 +126,10 @@ def test_what_logs_have_for_themselves_is_integrated():
     for one in x:
         sigma, gain = np.exp(one[at.places["ln_sigma"]]), np.exp(one[at.places["ln_gain_sd"]])
         value = 0.5 * -((gain / at.priors.gain_sd) ** 2) + np.log(gain)
-        size = np.array([gain, 0.02 / system.depth_mm, ours.scatter.shape, ours.scatter.shape])
-        free = np.kron(np.eye(logs), np.diag([1.0, 1.0, 0.0, 0.0])) + np.kron(
-            about, np.diag([0.0, 0.0, 1.0, 1.0])
+        shape, time = ours.scatter.shape, ours.scatter.time
+        size = np.array([gain, 0.02 / system.depth_mm, time, shape, shape])
+        free = np.kron(np.eye(logs), np.diag([1.0, 1.0, 1.0, 0.0, 0.0])) + np.kron(
+            about, np.diag([0.0, 0.0, 0.0, 1.0, 1.0])
         )
         prior = free * np.tile(size, logs) ** 2
         covariance = wide @ prior @ wide.T + sigma**2 * np.diag(1.0 / system.count)

@@ -72,6 +72,25 @@ def test_two_logs_leave_what_they_have_in_common_open_evenly():
         assert 0.5 < up / down < 2.0
 
 
+def test_sites_that_relax_at_different_rates_are_not_explained_by_a_soft_machine():
+    def site(ratio):
+        return lambda t, x: 2.0 * x + 0.3 * x**2 + 0.05 * x**3 + 3.0 * relaxing(t, x, 0.5 * ratio)
+
+    logs = [
+        recorded(site(ratio), seed=seed, noise=0.0005, rate_Hz=200.0, depth=4.0, hold_s=8.0)
+        for seed, ratio in enumerate((0.95, 1.0, 1.05))
+    ]
+    fit = ti.fit(logs, specimen="three sites").sample()
+    found = {one["name"]: one for one in fit.result.as_json()["parameters"]}
+    truths = {"static_1_N_per_mm": 2.0, "stiffness_0_N_per_mm": 3.0, "relaxation_time_s": 0.5}
+    for name, truth in (truths | {"viscosity_N_s_per_mm": 1.5}).items():
+        low, high = found[name]["ci95_total"]
+        assert low < truth < high
+        assert high - low < 0.5 * truth
+    assert [one.time_ratio for one in fit.result.trials] == pytest.approx([0.95, 1.0, 1.05], abs=0.01)
+    assert not {"discrepancy", "machine_implausible"} & {flag.code for flag in fit.result.flags}
+
+
 def test_what_is_stated_of_a_coefficient_is_not_drawn_down_by_the_common_size():
     logs = [recorded(lambda t, x, g=g: g * kelvin_voigt(t, x), seed=k) for k, g in enumerate((1.2, 0.8))]
     names = ("static_1_N_per_mm", "static_2_N_per_mm2", "static_3_N_per_mm3", "stiffness_0_N_per_mm")

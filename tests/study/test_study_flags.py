@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fit_factory import specimen_fit
 
-from tissueid.inference.verdict import gain_spread, order_effect, repeated_sites
+from tissueid.inference.verdict import order_effect, repeated_sites, spread_flags
 from tissueid.result import TrialFit
 
 
@@ -19,13 +19,17 @@ def logs(gains: Sequence[float]) -> list[TrialFit]:
 
 
 def test_logs_that_differ_much_are_asked_after_and_their_order_is_that_of_the_files():
-    assert gain_spread(logs([1.0, 1.04, 0.97, 1.01])) == []
-    assert gain_spread(logs([1.0])) == []
-    (flag,) = gain_spread(logs([0.7, 1.0, 1.3]))
+    assert spread_flags(logs([1.0, 1.04, 0.97, 1.01])) == []
+    assert spread_flags(logs([1.0])) == []
+    (flag,) = spread_flags(logs([0.7, 1.0, 1.3]))
     assert flag.values["sd_ln_gain"] == pytest.approx(np.log([0.7, 1.0, 1.3]).std(ddof=1))
     assert (flag.values["lowest"], flag.values["highest"]) == (0.7, 1.3)
     assert "run_1.csv" in flag.message
     assert "run_3.csv" in flag.message
+    times = [replace(one, time_ratio=ratio) for one, ratio in zip(logs([1.0] * 3), (1.4, 1.0, 0.6), strict=True)]
+    (flag,) = spread_flags(times)
+    assert flag.code == "relaxation_spread"
+    assert flag.message.startswith("relaxation time differs by 43 % (sd) between logs, from 0.60 (run_3.csv")
     (flag,) = order_effect(logs([1.0, 0.95, 0.9, 0.85]), [None] * 4)
     assert "from file 1 to file 4" in flag.message
     assert order_effect(logs([1.0, 0.9, 0.8]), [1, 2, 3]) == []

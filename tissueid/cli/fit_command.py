@@ -65,7 +65,7 @@ class _FitFlags(ReadingFlags, OutputFlags):
         "Degree of the dynamic stiffness K(x); auto chooses by held-out data.", default="auto"
     )
     static: Literal["scaled", "partial", "shared"] = option(
-        "Own of each log: a curve of depth for static force and K, gain and contact, or contact.",
+        "Own of each log: a curve of depth and a factor of times, gain and contact, or contact.",
         default="scaled",
     )
     orders: Literal["study", "own"] = option(

@@ -191,6 +191,7 @@ class Trial(OfSheet, frozen=True):
     n_samples: Count
     flags: tuple[Flag, ...]
     measured: Measured | None = None
+    time_ratio: float = 1.0  # Relaxation times of the log over those of the specimen
 
 
 class Relaxation(OfSheet, frozen=True):

@@ -34,6 +34,7 @@ class Scatter:
 
     gain: float = 0.1  # of ln gain
     shape: float = 0.02  # of ln gain at lesser depths beside that at the largest
+    time: float = 0.05  # of ln of the times of relaxation
 
 
 @lru_cache
@@ -158,6 +159,8 @@ def own_precision(system: System, scatter: Scatter) -> FloatArray:
         columns.append(np.full(logs, scatter.gain**-2))
     sd = np.array([one.contact_sd_mm for one in system.logs]) / system.depth_mm
     columns.append(sd**-2)
+    if effects.time:
+        columns.append(np.full(logs, scatter.time**-2))
     if effects.shape:
         columns += [np.full(logs, scatter.shape**-2)] * SHAPE
     return np.column_stack(columns)

@@ -54,7 +54,8 @@ class FitOptions:
     stiffness_degree : int or None
         0 to 2, or ``None`` to choose.
     static : str
-        ``scaled`` (default: static force and K of a log in proportion, by its own curve of depth),
+        ``scaled`` (default: static force and K of a log in proportion, by its own curve of depth, and
+        relaxation times by its own factor),
         ``partial`` (a gain and a contact of its own) or ``shared`` (a contact of its own).
     depths_mm : tuple of float
         Depths below contact at which the stiffness of each loop is wanted.
@@ -160,13 +161,15 @@ def force_along(
 
 
 def adjustments_of(identified: Identified, handles: Sequence[LogHandle], point: Point) -> list[Adjustment]:
-    """Gain and contact of every log."""
+    """Gain, contact and relaxation of every log."""
     system = identified.system
     offsets = (system.offsets(point) * system.depth_mm).tolist()
-    gains = np.exp(point.own[:, 0]).tolist() if system.effects.gain else [1.0] * len(handles)
+    effects, ones = system.effects, [1.0] * len(handles)
+    gains = np.exp(point.own[:, 0]).tolist() if effects.gain else ones
+    times = np.exp(point.own[:, effects.time_at]).tolist() if effects.time else ones
     return [
-        Adjustment(gain, offset, handle.contact_shift_mm)
-        for gain, offset, handle in zip(gains, offsets, handles, strict=True)
+        Adjustment(gain, offset, handle.contact_shift_mm, time)
+        for gain, offset, handle, time in zip(gains, offsets, handles, times, strict=True)
     ]
 
 

@@ -1,7 +1,7 @@
 """All logs of a specimen under one law: predicted forces of their blocks, and derivatives of them.
 
-Each log has its own gain, contact and shape, a curve of depth that multiplies the whole force; the frame acts
-by the predicted force; the filter is one pole; force lags displacement by the skew.
+Each log has its own gain, contact, factor of relaxation times, and shape, a curve of depth that multiplies the
+whole force; the frame acts by the predicted force; the filter is one pole; force lags displacement by the skew.
 """
 
 from __future__ import annotations
@@ -42,14 +42,21 @@ NO_FILTER_S, NO_POLE_S = 1e-7, 1e-12
 class Effects:
     """Own parameters of a log beside its contact."""
 
-    #: ln gain at the largest depth, before the contact offset; ln gain at lesser depths, behind it.
+    #: ln gain at the largest depth, before the contact offset; behind it ln of how much slower the log
+    #: relaxes, and ln gain at lesser depths.
     gain: bool = False
     shape: bool = False
+    time: bool = False
+
+    @property
+    def time_at(self) -> int:
+        """Place of ln time, where there is one, behind the contact."""
+        return int(self.gain) + 1
 
     @property
     def size(self) -> int:
         """Own parameters of a log."""
-        return int(self.gain) + 1 + SHAPE * int(self.shape)
+        return self.time_at + int(self.time) + SHAPE * int(self.shape)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +66,7 @@ class Point:
     log_times: FloatArray  # (t,) and (n, t)
     machine: FloatArray  # (3,) and (n, 3), in the order of :data:`MACHINE`
     linear: FloatArray  # (p,) and (n, p)
-    #: (logs, q) and (n, logs, q): ln gain, contact offset over the largest depth, shape, if there are any.
+    #: (logs, q) and (n, logs, q): ln gain, contact offset over the largest depth, ln time, shape, if there are.
     own: FloatArray
 
     @property
@@ -234,15 +241,22 @@ class System:
         """Shared parameters."""
         return self.law.times + len(MACHINE) + self.law.linear
 
-    def path(self, depth: FloatArray) -> Path:
-        """Depths (over the largest depth) of all points as a path in contact, (m,) or (n, m)."""
+    def path(self, depth: FloatArray, point: Point | None = None, slower: float = 0.0) -> Path:
+        """Depths (over the largest depth) of all points as a path in contact, (m,) or (n, m).
+
+        ``slower``: added to the ln times of the logs, which are those of a point.
+        """
         flat = depth.ravel()
         touching = flat > 0.0
         entered = np.flatnonzero(touching[1:] & ~touching[:-1]) + 1
         entered = entered[~self.first[entered % depth.shape[-1]]]
         share = flat[entered] / (flat[entered] - flat[entered - 1])
         below = np.maximum(depth, 0.0) * self.depth_mm
-        return Path(self.step, below, entered, share, self.fresh, self.speed_ratio)
+        step = self.step
+        if point is not None and self.effects.time:
+            # a log that relaxes slower is one whose clock runs slower
+            step = step * self.at_points(np.exp(-slower - point.own[..., self.effects.time_at]))
+        return Path(step, below, entered, share, self.fresh, self.speed_ratio)
 
     def at_points(self, values: FloatArray) -> FloatArray:
         """Values of the logs at each of their points, (..., logs) -> (..., m)."""
@@ -337,7 +351,7 @@ class System:
         """Force at the tip at all points, and its columns; ``rounds``: of the frame beyond the first."""
         yields, force = self._yields(point), self.guess
         for _ in range(1 + rounds * yields):
-            path = self.path(self._behind(point, force))
+            path = self.path(self._behind(point, force), point)
             columns = self.law.columns(point.log_times, path)
             if self.effects.gain:
                 columns *= self.gain(point, path.depth_mm / self.depth_mm)
@@ -360,7 +374,7 @@ class System:
         start, moved = self.guess, np.inf
         for _ in range(SETTLING):
             if moved > SAME_SLOPES:
-                path = self.path(self._behind(point, self.guess))
+                path = self.path(self._behind(point, self.guess), point)
                 stiffness = np.maximum(self._slopes(point, path).sudden(path), 0.0)
                 self.soft = 1.0 / (1.0 + self._compliance(point) * stiffness)
             before, self.guess = self.guess, self.tip_force(point, rounds=0)[0]
@@ -414,7 +428,7 @@ class System:
 
     def near_parts(self, point: Point) -> FloatArray:
         """The same, which is linear: without linear parameters, and their columns, (1 + p, n, k)."""
-        columns = self.law.columns(point.log_times, self.path(self._behind(point, self.guess)))
+        columns = self.law.columns(point.log_times, self.path(self._behind(point, self.guess), point))
         parts = np.zeros((1 + len(columns), *columns.shape[1:]))
         soft = self.soft if self._yields(point) else np.ones(1)
         parts[0], parts[1:] = (1.0 - soft) * self.guess, soft * columns
@@ -431,7 +445,7 @@ class System:
             self.follow(point)
         base = self.guess if follow and self.settled else self.tip_force(point)[0]
         behind = self._behind(point, base)
-        path = self.path(behind)
+        path = self.path(behind, point)
         gain = self.gain(point, path.depth_mm / self.depth_mm)
         # differences are of forces on one and the same path
         columns = gain * self.law.columns(point.log_times, path)
@@ -445,13 +459,17 @@ class System:
         by_force = np.where(path.depth_mm <= 0.0, 0.0, -base / self.depth_mm)[None]
         none = np.zeros(base.size)
         parts += [self._slopes(point, path).change(path, by_force)[0] if machine else none]
-        deeper = self.path(behind + STEP_DEPTH)
+        deeper = self.path(behind + STEP_DEPTH, point)
         moved = self.gain(point, deeper.depth_mm / self.depth_mm) * (
             point.linear @ self.law.columns(point.log_times, deeper)
         )
         by_contact = (still - moved) / STEP_DEPTH
         parts += [-self.at_points(self.onset) * by_contact if machine else none, *columns]
-        parts += self._by_own(base, behind, by_contact)
+        by_time = sum(parts[: self.law.times], none)
+        if self.effects.time and self.law.model_of is not None:
+            slower = gain * (point.linear @ self.law.columns(point.log_times, self.path(behind, point, STEP_LN)))
+            by_time = (slower - still) / STEP_LN
+        parts += self._by_own(base, behind, by_contact, by_time)
         tip = np.stack(parts)
         if self._yields(point):
             tip = self._given_way(point, path, tip)
@@ -476,12 +494,14 @@ class System:
             own[:, int(self.effects.gain)] += by[:, -1]
         return Derivatives(found[:, 0] + self._carried(point), shared, own)
 
-    def _by_own(self, base: FloatArray, behind: FloatArray, by_contact: FloatArray) -> list[FloatArray]:
+    def _by_own(
+        self, base: FloatArray, behind: FloatArray, by_contact: FloatArray, by_time: FloatArray
+    ) -> list[FloatArray]:
         """Derivatives of the force at the tip by what is a log's own, the frame held; (m,) each."""
         out = []
         if self.effects.gain:
             out.append(base)
-        out.append(by_contact)
+        out += [by_contact, by_time][: 1 + self.effects.time]
         if self.effects.shape:
             out += list(base * _shape(np.maximum(behind, 0.0)))
         return out

@@ -462,12 +462,14 @@ class SpecimenTarget:
         return value + self._integrated(x, own, white) if integrated else value
 
     def _expected(self, x: FloatArray) -> FloatArray:
-        """Own parameters about which the logs' are integrated: gains that undo the common scale."""
+        """Own parameters about which the logs' are integrated: they undo a common scale, and common times."""
         own = self._own(x)
         if "ln_gain_sd" not in self.places:
             return own
         own = np.repeat(own[None], len(x), axis=0)
         own[:, :, 0] -= np.log(np.maximum(x @ self.scale, LEAST_SCALE))[:, None]
+        if self.system.effects.time and (times := self.law.counts[0]):
+            own[:, :, self.system.effects.time_at] -= (x[:, :times] - self.mode[:times]).mean(axis=1)[:, None]
         return own
 
     def _integrated(self, x: FloatArray, own: FloatArray, white: FloatArray) -> FloatArray:

@@ -53,6 +53,7 @@ class Adjustment:
     gain: float = 1.0
     contact_offset_mm: float = 0.0  # against the contact point its depths are counted from
     contact_shift_mm: float = 0.0  # how far that contact point was moved since it was segmented
+    time_ratio: float = 1.0  # relaxation times over those of the tissue
 
 
 @dataclass(slots=True)
@@ -158,6 +159,7 @@ def summarise_trial(
         max_residual_fraction=share,
         residual_acf1=acf,
         gain=adjustment.gain,
+        time_ratio=adjustment.time_ratio,
         contact_offset_mm=adjustment.contact_offset_mm + adjustment.contact_shift_mm,
         speed_mm_s=max(log.speeds_mm_s),
         depth_mm=log.depth_mm,

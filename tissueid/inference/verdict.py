@@ -276,7 +276,7 @@ def _machine(posterior: Posterior) -> list[Flag]:
     return [Flag("calibration_dominates", words, {"ratio": total / statistical, "source": worst})]
 
 
-#: Standard deviation of ln gain beyond which logs differ much; repeats on one site stay below 5 %.
+#: Standard deviation of ln gain, and of ln time, beyond which logs differ much; repeats on one site stay below 5 %.
 MUCH_SPREAD = 0.10
 #: An order effect is said from so many logs, this chance of a slope that large without one, and this change.
 FEWEST_RUNS, CHANCE, LEAST_CHANGE = 4, 0.01, 0.02
@@ -284,21 +284,22 @@ FEWEST_RUNS, CHANCE, LEAST_CHANGE = 4, 0.01, 0.02
 FIRST_CHANGE = 0.05
 
 
-def gain_spread(trials: Sequence[TrialFit]) -> list[Flag]:
-    """``gain_spread`` where the logs of a specimen differ much in stiffness."""
-    gains = np.array([trial.gain for trial in trials])
-    if gains.size < 2 or (gains <= 0.0).any():
-        return []
-    spread = float(np.log(gains).std(ddof=1))
-    if spread <= MUCH_SPREAD:
-        return []
-    low, high = int(gains.argmin()), int(gains.argmax())
-    message = (
-        f"stiffness differs by {100 * spread:.0f} % (sd) between logs, from {gains[low]:.2f} "
-        f"({_name(trials[low])}) to {gains[high]:.2f} ({_name(trials[high])})"
-    )
-    values = {"sd_ln_gain": spread, "lowest": float(gains[low]), "highest": float(gains[high])}
-    return [Flag("gain_spread", message, values)]
+def spread_flags(trials: Sequence[TrialFit]) -> list[Flag]:
+    """``gain_spread`` and ``relaxation_spread`` where the logs of a specimen differ much."""
+    gains, times = np.array([(trial.gain, trial.time_ratio) for trial in trials]).T
+    differing = ("gain_spread", "stiffness", gains), ("relaxation_spread", "relaxation time", times)
+    out = []
+    for code, words, ratio in differing if len(trials) > 1 else ():
+        spread = float(np.log(ratio).std(ddof=1)) if (ratio > 0.0).all() else 0.0
+        if spread > MUCH_SPREAD:
+            low, high = int(ratio.argmin()), int(ratio.argmax())
+            message = (
+                f"{words} differs by {100 * spread:.0f} % (sd) between logs, from {ratio[low]:.2f} "
+                f"({_name(trials[low])}) to {ratio[high]:.2f} ({_name(trials[high])})"
+            )
+            name = "sd_ln_gain" if code == "gain_spread" else "sd_ln_time"
+            out.append(Flag(code, message, {name: spread, "lowest": ratio[low], "highest": ratio[high]}))
+    return out
 
 
 def order_effect(trials: Sequence[TrialFit], runs: Sequence[int | None]) -> list[Flag]:

@@ -19,7 +19,7 @@ _POOLING: Mapping[str, str] = {
     "partial": "shared by all trials of a specimen, each with a gain and a contact offset of its own whose "
     "spread was estimated from the data (partial pooling)",
     "shared": "the same for all trials",
-    "scaled": "one, each trial deviating from it by its gain, contact and shape",
+    "scaled": "one, each trial deviating from it by its gain, contact, relaxation and shape",
 }
 _NOISE: Mapping[str, str] = {
     "white": "white noise",

@@ -33,7 +33,7 @@ _FOLD = ("b_0", "b_0 + b_1 x", "b_0 + b_1 x + b_2 x²")
 _POOLING: Mapping[str, str] = {
     "partial": "static curve shared, with a gain and contact offset a log",
     "shared": "one static curve",
-    "scaled": "a curve of depth a log, static force and K in proportion",
+    "scaled": "a curve of depth a log, static force and K in proportion, and a factor of its times",
 }
 #: Below this the data said little.
 LITTLE_SHRINKAGE = 0.1
