@@ -155,7 +155,7 @@ def _pushes(model: ChannelModel, truth: dict[str, float], noise: np.random.Gener
 def _missed(trials: list[Any]) -> float:
     """Root-mean-square miss of a speed that the best Kelvin-Voigt law of the others predicts.
 
-    It is the median of the speeds or, where the first two are missed by more than twice the noise, the lesser.
+    The median of the speeds or, where the first two are missed by more than twice the noise, the lesser.
     """
     missed: list[float] = []
     for k, one in enumerate(trials):

@@ -44,7 +44,6 @@ from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import KELVIN_VOIGT, Candidates, Named, candidates
 from tissueid.priors import Priors
 
-NORMAL_975 = 1.959963984540054
 #: Share of the travel that frame and contact may take before less than the travel is claimed.
 TAKEN = 0.1
 #: Rounds in which the scatter between logs is estimated.
@@ -217,7 +216,7 @@ def _time_scatter(optimum: Optimum, at: int) -> float:
     own, precision = optimum.point.own[:, at], optimum.prior.own[:, at]
     told = float((1.0 - optimum.normal.own_inverse[:, at, at] * precision).sum())
     total = float((own**2).sum()) + SCATTER_PRIOR.time**2
-    wider = float(stats.t.ppf(0.975, max(told, 2.0)) / NORMAL_975)
+    wider = float(stats.t.ppf(0.975, max(told, 2.0)) / stats.norm.ppf(0.975))
     return wider * float(np.sqrt(total / (told + 1.0)))
 
 

@@ -1,7 +1,8 @@
 """All logs of a specimen under one law: predicted forces of their blocks, and derivatives of them.
 
-Each log has its own gain, contact, factor of relaxation times, and shape, a curve of depth that multiplies the
-whole force; the frame acts by the predicted force; the filter is one pole; force lags displacement by the skew.
+Each log has its own gain, contact, factor of relaxation times, and shape: a curve of depth that multiplies
+the whole force. The frame acts by the predicted force, the filter is one pole, force lags displacement by the
+skew.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ class Point:
     log_times: FloatArray  # (t,) and (n, t)
     machine: FloatArray  # (3,) and (n, 3), in the order of :data:`MACHINE`
     linear: FloatArray  # (p,) and (n, p)
-    #: (logs, q) and (n, logs, q): ln gain, contact offset over the largest depth, ln time, shape, if there are.
+    #: (logs, q) and (n, logs, q): ln gain, contact offset over the largest depth, ln time, shape, if any.
     own: FloatArray
 
     @property
@@ -467,8 +468,8 @@ class System:
         parts += [-self.at_points(self.onset) * by_contact if machine else none, *columns]
         by_time = sum(parts[: self.law.times], none)
         if self.effects.time and self.law.model_of is not None:
-            slower = gain * (point.linear @ self.law.columns(point.log_times, self.path(behind, point, STEP_LN)))
-            by_time = (slower - still) / STEP_LN
+            slower = self.law.columns(point.log_times, self.path(behind, point, STEP_LN))
+            by_time = (gain * (point.linear @ slower) - still) / STEP_LN
         parts += self._by_own(base, behind, by_contact, by_time)
         tip = np.stack(parts)
         if self._yields(point):
