@@ -276,7 +276,7 @@ def _machine(posterior: Posterior) -> list[Flag]:
     return [Flag("calibration_dominates", words, {"ratio": total / statistical, "source": worst})]
 
 
-#: Standard deviation of ln gain and ln time beyond which logs differ much; repeats on one site stay below 5 %.
+#: Standard deviation of ln gain and ln time beyond which logs differ much; on one site they stay below 5 %.
 MUCH_SPREAD = 0.10
 #: An order effect is said from so many logs, this chance of a slope that large without one, and this change.
 FEWEST_RUNS, CHANCE, LEAST_CHANGE = 4, 0.01, 0.02
