@@ -230,9 +230,13 @@ def test_what_cannot_be_is_answered_with_the_way_out(bundle, tmp_path, code, arg
 def test_the_folder_of_a_fit_stands_for_its_bundle(bundle, tmp_path):
     felt = run("render", bundle.parent, *PRESSED, code=0)
     assert felt.stdout == run("render", bundle, *PRESSED, code=0).stdout
-    assert (
-        f"{tmp_path / 'bundle.h5'}: there is no such file" in run("render", tmp_path, *PRESSED, code=6).stderr
-    )
+    assert f"'{tmp_path / 'bundle.h5'}' does not exist" in run("render", tmp_path, *PRESSED, code=2).stderr
+
+
+def test_a_script_beyond_the_identified_depth_is_told_before_it_is_felt(bundle):
+    deep = run("render", bundle, "--device", "sim", "--virtual", "--script", "indent 40 mm at 50 mm/s", code=0)
+    assert "the script goes 40 mm deep, the tissue is identified to" in deep.stdout + deep.stderr
+    assert "the script goes" not in run("render", bundle, *PRESSED, code=0).stdout
 
 
 def test_two_tissues_are_compared_and_exchanged_out_of_contact(bundle, tmp_path):

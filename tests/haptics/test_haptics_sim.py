@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tissueid.errors import BundleError, DeviceError
+from tissueid.errors import BundleError, DeviceError, UsageError
 from tissueid.haptics import sim as k
 from tissueid.haptics.arm import Arm
 from tissueid.haptics.hand import Hand, preset
@@ -207,7 +207,7 @@ def test_a_log_that_is_none_is_refused_and_a_missing_one_asked_for(tmp_path: Pat
     file.write_bytes(b"something else")
     with pytest.raises(BundleError, match=r"log\.h5"):
         k.ReplayDevice(log=file)
-    with pytest.raises(DeviceError, match="give one with --replay"):
+    with pytest.raises(UsageError, match="give one with --replay"):
         k.ReplayDevice().open()
     assert "needs the log" in k.ReplayDevice.detect()[0].note
     assert not k.ReplayDevice().capabilities.hardware

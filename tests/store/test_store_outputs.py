@@ -20,7 +20,7 @@ from posterior_factory import sampled
 from set_writer import commit
 
 from tissueid.cli.output import write_output
-from tissueid.errors import BundleError
+from tissueid.errors import BundleError, UsageError
 from tissueid.result import Identification
 from tissueid.store import outputs as outputs_module
 from tissueid.store.bundle import load_bundle
@@ -141,7 +141,7 @@ def test_a_second_writer_is_refused_with_the_name_of_the_first_while_that_lives(
     write(tmp_path, "after")
     validate_outputs(tmp_path)
     (tmp_path / "file").write_text("")
-    with pytest.raises(BundleError, match="can't be made a folder"), OutputSet(tmp_path / "file"):
+    with pytest.raises(UsageError, match="can't be made a folder"), OutputSet(tmp_path / "file"):
         pass
 
 

@@ -64,7 +64,7 @@ def command(flags: _CompareFlags) -> int:
     """
     raw = [path for path in flags.paths if not _is_fit(Path(path.partition("::")[0]))]
     if raw and len(raw) < len(flags.paths):
-        refuse(f"{raw[0]} is a recording and others are fits: compare recordings, or fits")
+        refuse(f"{raw[0]} is a recording, or none, and others are fits: compare recordings, or fits")
     if raw:
         return compare_recordings(flags)
     from tissueid.contrast.decision import contrast_document

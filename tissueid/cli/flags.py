@@ -28,7 +28,7 @@ _TYPES = {int: int, float: float, Path: click.Path(dir_okay=False, path_type=Pat
 #: Types that many options have.
 PATH, THERE = click.Path(), click.Path(exists=True)
 FILE_THERE = click.Path(exists=True, dir_okay=False, path_type=Path)
-BUNDLE = _OfFolder(dir_okay=False, path_type=Path)
+BUNDLE = _OfFolder(exists=True, dir_okay=False, path_type=Path)
 FILE, FOLDER = click.Path(dir_okay=False), click.Path(file_okay=False)
 FOLDER_THERE = click.Path(exists=True, file_okay=False)
 FROM_0, FROM_1 = click.IntRange(min=0), click.IntRange(min=1)

@@ -142,7 +142,7 @@ def migrate(flags: _MigrateFlags) -> int:
 
 
 class _ReportFlags(OutputFlags):
-    out: str = argument(type=THERE)
+    out: str = argument(type=FOLDER_THERE)
     output: str | None = option("File to write instead of OUT/report.html.", "-o", type=PATH)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
-from tissueid.errors import DeviceError
+from tissueid.errors import DeviceError, refuse
 from tissueid.haptics import shared_hand as layout
 from tissueid.haptics.arm import ARM_MEMORY, HAND_FORCE, POSITION, TIME, Arm, arm_step, new_arm
 from tissueid.haptics.device import (
@@ -303,7 +303,7 @@ class ReplayDevice(HapticDevice):
 
     def _open(self) -> None:
         if self._log is None:
-            raise DeviceError("replay: no log was named; give one with --replay LOG")
+            refuse("replay: no log was named; give one with --replay LOG")
         self._started_s = None
 
     def _close(self) -> None:

@@ -101,6 +101,7 @@ def plan_session(options: RenderOptions) -> SessionPlan:
     _must_fit(asked, script)
     shape = parse_surface(options.surface)
     remarks = [one for each in picked for one in surface_remarks(each.tissue, shape, options.tip_radius_mm)]
+    remarks += _beyond(script, picked)
     check, surface, radius_m = _scaled(asked, picked, shape)
     if replayed is not None:
         surface, radius_m = replayed
@@ -257,6 +258,15 @@ def _replayed(options: RenderOptions) -> tuple[RenderOptions, tuple[Surface, flo
         seconds=options.seconds or float(times[-1] - times[0]),
     )
     return options, (surface_from(numbers), float(numbers[TOOL_RADIUS]))
+
+
+def _beyond(script: Script | None, picked: tuple[Picked, ...]) -> list[str]:
+    """Remark on a script that goes deeper than was identified."""
+    known_mm = min(each.tissue.model.depth_mm for each in picked)
+    if script is None or script.depth_mm <= known_mm + 1e-6:
+        return []
+    words = f"the script goes {script.depth_mm:g} mm deep, the tissue is identified to {known_mm:.3g} mm"
+    return [f"{words}: beyond, its force is continued, not measured"]
 
 
 def _must_fit(asked: _Asked, script: Script | None) -> None:

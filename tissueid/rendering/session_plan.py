@@ -118,6 +118,11 @@ class Script:
     #: From the start of the device's time to the end of the last stroke, and a moment more [s].
     duration_s: float
 
+    @property
+    def depth_mm(self) -> float:
+        """Depth of the deepest stroke."""
+        return max(stroke.depth_mm for stroke in self.strokes)
+
     def hand(self, *, motion_scale: float, surface_m: FloatArray, inward: FloatArray) -> Hand:
         """The machine that carries the simulated grip through the strokes."""
         return scripted_hand(

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Self
 
-from tissueid.errors import BundleError, refuse
+from tissueid.errors import BundleError, UsageError, refuse
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file, sha256_of, write_file
 from tissueid.store.schema import check
 
@@ -250,7 +250,7 @@ class OutputSet:
             self.out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             msg = f"{self.out}: can't be made a folder ({error.strerror}); choose another output folder"
-            raise BundleError(msg) from error
+            raise UsageError(msg) from error
         with ExitStack() as held:
             held.enter_context(folder_lock(self.out))
             # before there is anything to abandon: an interrupt may come at any time
