@@ -234,7 +234,8 @@ def test_the_folder_of_a_fit_stands_for_its_bundle(bundle, tmp_path):
 
 
 def test_a_script_beyond_the_identified_depth_is_told_before_it_is_felt(bundle):
-    deep = run("render", bundle, "--device", "sim", "--virtual", "--script", "indent 40 mm at 50 mm/s", code=0)
+    script = ("--script", "indent 40 mm at 50 mm/s")
+    deep = run("render", bundle, "--device", "sim", "--virtual", *script, code=0)
     assert "the script goes 40 mm deep, the tissue is identified to" in deep.stdout + deep.stderr
     assert "the script goes" not in run("render", bundle, *PRESSED, code=0).stdout
 
