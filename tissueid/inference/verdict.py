@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from tissueid.arrays import FloatArray
 from tissueid.documents.identification import MisfitAlarm, NoiseFit
 from tissueid.flags import Flag
 from tissueid.inference.estimates import TissueEstimate
@@ -284,21 +285,28 @@ FEWEST_RUNS, CHANCE, LEAST_CHANGE = 4, 0.01, 0.02
 FIRST_CHANGE = 0.05
 
 
+def _spread(trials: Sequence[TrialFit], ratio: FloatArray) -> tuple[float, str, dict[str, float]] | None:
+    """Standard deviation of ln of a ratio, a log each, where it is large; both ends in words and numbers."""
+    spread = float(np.log(ratio).std(ddof=1)) if ratio.size > 1 and (ratio > 0.0).all() else 0.0
+    if spread <= MUCH_SPREAD:
+        return None
+    low, high = int(ratio.argmin()), int(ratio.argmax())
+    words = f"from {ratio[low]:.2f} ({_name(trials[low])}) to {ratio[high]:.2f} ({_name(trials[high])})"
+    return spread, words, {"lowest": float(ratio[low]), "highest": float(ratio[high])}
+
+
 def spread_flags(trials: Sequence[TrialFit]) -> list[Flag]:
     """``gain_spread`` and ``relaxation_spread`` where the logs of a specimen differ much."""
+    out: list[Flag] = []
     gains, times = np.array([(trial.gain, trial.time_ratio) for trial in trials]).T
-    differing = ("gain_spread", "stiffness", gains), ("relaxation_spread", "relaxation time", times)
-    out = []
-    for code, words, ratio in differing if len(trials) > 1 else ():
-        spread = float(np.log(ratio).std(ddof=1)) if (ratio > 0.0).all() else 0.0
-        if spread > MUCH_SPREAD:
-            low, high = int(ratio.argmin()), int(ratio.argmax())
-            message = (
-                f"{words} differs by {100 * spread:.0f} % (sd) between logs, from {ratio[low]:.2f} "
-                f"({_name(trials[low])}) to {ratio[high]:.2f} ({_name(trials[high])})"
-            )
-            name = "sd_ln_gain" if code == "gain_spread" else "sd_ln_time"
-            out.append(Flag(code, message, {name: spread, "lowest": ratio[low], "highest": ratio[high]}))
+    if found := _spread(trials, gains):
+        sd, ends, values = found
+        message = f"stiffness differs by {100 * sd:.0f} % (sd) between logs, {ends}"
+        out.append(Flag("gain_spread", message, values | {"sd_ln_gain": sd}))
+    if found := _spread(trials, times):
+        sd, ends, values = found
+        message = f"relaxation time differs by {100 * sd:.0f} % (sd) between logs, {ends}"
+        out.append(Flag("relaxation_spread", message, values | {"sd_ln_time": sd}))
     return out
 
 
