@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.between_logs import order_effect, repeated_sites, spread_flags
 from tissueid.decided import arithmetic_refusal, as_decided, decided_trial
 from tissueid.documents import members, plain
 from tissueid.documents.identification import Calibration, Frame, StatedSpecimen, StatedTrial
@@ -23,7 +24,6 @@ from tissueid.errors import InputError
 from tissueid.inference.frame_effect import beyond_calibration, frame_flags
 from tissueid.inference.logs import LogHandle
 from tissueid.inference.specimen import FitOptions
-from tissueid.inference.verdict import order_effect, repeated_sites, spread_flags
 from tissueid.inference.window import fitted_log
 from tissueid.manifest import Decision, Study, TomlTable
 from tissueid.measured.cycles import cycle_rows

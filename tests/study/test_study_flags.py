@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fit_factory import specimen_fit
 
-from tissueid.inference.verdict import order_effect, repeated_sites, spread_flags
+from tissueid.between_logs import order_effect, repeated_sites, spread_flags
 from tissueid.result import TrialFit
 
 
