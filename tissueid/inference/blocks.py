@@ -22,6 +22,9 @@ from tissueid.signal_noise import quantum, white_noise_sd
 SAMPLED = 420
 #: Growth of blocks behind a corner, share of the depth and of the duration that one block spans at the most.
 GROWTH, TRAVEL_SHARE, TIME_SHARE = 1.25, 1.0 / 60.0, 1.0 / 25.0
+#: Samples behind a corner that stand alone, as a relaxation as fast as they are is gone in them; and squared
+#: distance from a line, over that of one that is straight, of what is a corner and no noise.
+ALONE, SURE = 2, 9.0
 #: Root mean square distance from a line that is straight, over the noise of the travel and over the depth.
 STRAIGHT, STRAIGHT_SHARE = 1.3, 2e-6
 #: Bend of a travel that is known exactly, over its fastest speed, that is one.
@@ -96,7 +99,7 @@ def _edges(time: FloatArray, depth: FloatArray, stops: Sequence[int]) -> IntArra
     noise = white_noise_sd(time[moving], depth[moving]) / scale
     limit = (STRAIGHT * noise) ** 2 + STRAIGHT_SHARE**2
 
-    def straight(i: int, j: int) -> bool:
+    def straight(i: int, j: int, wide: float = 1.0) -> bool:
         """Samples i to j (without j) lie on a line, and their neighbours too: none of them is at a corner."""
         i, j = max(i - 1, 0), min(j + 1, n)
         if j - i < 3:
@@ -104,15 +107,16 @@ def _edges(time: FloatArray, depth: FloatArray, stops: Sequence[int]) -> IntArra
         count, st, sx, stt, stx, sxx = total[:, j] - total[:, i]
         a, b, c = stt - st * st / count, stx - st * sx / count, sxx - sx * sx / count
         rest = c - b * b / a if a > 0.0 else c
-        return bool(rest <= limit * count + 1e-13)
+        return bool(rest <= wide * limit * count + 1e-13)
 
-    out, size = [0], 1
+    out, size, alone = [0], 1, ALONE + 1
     following = iter([*stops, n])
     stop, i = next(following), 0
     while i < n:
         while stop <= i:
             stop = next(following)
-        size = min(max(int(np.ceil(GROWTH * size)), size + 1), stop - i)
+        alone = max(alone - 1, 0) if straight(i, i + 1, SURE) else ALONE + 1
+        size = min(max(int(np.ceil(GROWTH * size)), size + 1), stop - i) if alone == 0 else 1
         # half a sample before the first and behind the last there is no path
         while size > 1 and not (
             0 < i < n - size

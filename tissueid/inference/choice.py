@@ -142,6 +142,12 @@ def _clusters(values: Sequence[float]) -> IntArray:
     return out
 
 
+def speeds_of(facts: Sequence[FittedLog]) -> NDArray[np.int64]:
+    """Number of the speed of each log, alike within 10 %."""
+    speeds = [max(one.speeds_mm_s) for one in facts]
+    return _clusters(speeds) if min(speeds) > 0.0 else np.zeros(len(speeds), dtype=np.int64)
+
+
 def groups_of(system: System, facts: Sequence[FittedLog]) -> Groups:
     """Choose the groups to leave out of these logs."""
     if len(facts) == 1:

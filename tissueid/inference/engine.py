@@ -30,6 +30,7 @@ from tissueid.inference.choice import (
     held_out,
     resolved,
     shown,
+    speeds_of,
     table_of,
 )
 from tissueid.inference.evidence import LogEvidence, NoiseVerdict, scan_memory, verdict_on_noise
@@ -122,8 +123,11 @@ class Identified:
 class _Fitting:
     """Candidates of one specimen, fitted from the same blocks."""
 
-    def __init__(self, base: System, request: Request, least_N: float, step_s: float) -> None:
+    def __init__(
+        self, base: System, request: Request, least_N: float, step_s: float, speed: NDArray[np.int64]
+    ) -> None:
         self.base, self.request, self.least_N, self.step_s = base, request, least_N, step_s
+        self.speed = speed  # number of the speed of each log
         self.scatter, laws = WIDE, request.candidates
         self.times: dict[tuple[int, int], FloatArray] = {}  # ln times by order of the Kelvin-Voigt law
         # of laws without a Kelvin-Voigt one, the noise and the logs' differences are told by the freest
@@ -182,7 +186,7 @@ class _Fitting:
             return
         system, optimum = self.candidate(self.law(branches, degree), Memory())
         for _ in range(SCATTER_ROUNDS):
-            self.scatter = scatter_of(system, optimum)
+            self.scatter = scatter_of(system, optimum, self.speed)
             optimum = self.minimise(system, optimum.point, Memory(), LOOK_STEPS)
         self.at = replace(self.at, own=optimum.point.own, machine=optimum.point.machine)
 
@@ -192,7 +196,7 @@ def badness(system: System, optimum: Optimum) -> float:
     return criterion(system, optimum.noise.sigma_N, optimum.prior, optimum.point)
 
 
-def scatter_of(system: System, optimum: Optimum) -> Scatter:
+def scatter_of(system: System, optimum: Optimum, speed: NDArray[np.int64]) -> Scatter:
     """Standard deviations between logs, about their mean: what all of them share is the specimen's."""
     own = optimum.point.own - optimum.point.own.mean(axis=0)
     variance = np.diagonal(optimum.normal.own_inverse, axis1=1, axis2=2)
@@ -204,18 +208,21 @@ def scatter_of(system: System, optimum: Optimum) -> Scatter:
 
     gain = sd(slice(0, 1), SCATTER_PRIOR.gain)
     shape = sd(slice(-SHAPE, None), SCATTER_PRIOR.shape) if system.effects.shape else SCATTER_PRIOR.shape
-    time = _time_scatter(optimum, system.effects.time_at) if system.effects.time else 0.0
+    time = _time_scatter(optimum, system.effects.time_at, speed) if system.effects.time else 0.0
     return Scatter(max(gain, 1e-5), max(shape, 1e-5), max(time, 1e-5))
 
 
-def _time_scatter(optimum: Optimum, at: int) -> float:
-    """Standard deviation of ln times between logs, by what the logs determine of theirs; few tell it badly.
+def _time_scatter(optimum: Optimum, at: int, speed: NDArray[np.int64]) -> float:
+    """Standard deviation of ln times between logs of one speed, by what they determine of theirs.
 
-    MacKay's fixed point (1992, doi 10.1162/neco.1992.4.3.415).
+    MacKay's fixed point (1992, doi 10.1162/neco.1992.4.3.415); few logs tell it badly.  Times that follow the
+    speed are the law's to explain.
     """
     own, precision = optimum.point.own[:, at], optimum.prior.own[:, at]
-    told = float((1.0 - optimum.normal.own_inverse[:, at, at] * precision).sum())
-    total = float((own**2).sum()) + SCATTER_PRIOR.time**2
+    alike = speed[:, None] == speed
+    apart = own - alike @ own / alike.sum(axis=1)
+    known = (1.0 - optimum.normal.own_inverse[:, at, at] * precision) * (1.0 - 1.0 / alike.sum(axis=1))
+    told, total = float(known.sum()), float((apart**2).sum()) + SCATTER_PRIOR.time**2
     wider = float(stats.t.ppf(0.975, max(told, 2.0)) / stats.norm.ppf(0.975))
     return wider * float(np.sqrt(total / (told + 1.0)))
 
@@ -254,7 +261,7 @@ def identify_logs(
     base = System(logs, kelvin_voigt_law(1, 0, depth), depth, effects)
     request = replace(request, priors=suited(request.priors, float(np.abs(base.force).max()), depth))
     least = LEAST_NOISE * float(np.ptp(base.force))
-    fitting = _Fitting(base, request, least, step)
+    fitting = _Fitting(base, request, least, step, speeds_of(facts))
     most = max(b for b in request.branches if b <= 2 or b == min(request.branches))
     degree = max(request.degrees)
     flexible = (most, degree if effects.shape else min(1, degree))
@@ -350,7 +357,7 @@ def _finished(
     for _ in range(2):
         optimum = fitting.minimise(system, optimum.point, memory, 40)
         if system.effects.gain:
-            fitting.scatter = scatter_of(system, optimum)
+            fitting.scatter = scatter_of(system, optimum, fitting.speed)
             optimum = fitting.minimise(system, optimum.point, memory, 40)
         wanted, verdict = _noise(fitting, system, optimum, evidence)
         if wanted == memory:

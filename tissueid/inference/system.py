@@ -151,13 +151,15 @@ class System:
         self.first = np.zeros(step.size, dtype=bool)
         self.first[first] = True
         rows = [one.at + offset for one, offset in zip(logs, first, strict=True)]
-        #: (3, k): points at both ends of each observation and in its middle, Simpson's.
+        #: (3, k): points at both ends of each observation and in its middle.
         self.at = np.ascontiguousarray(np.concatenate(rows).T)
         self.sampled = bool((self.at[0] == self.at[2]).all())
         self.log = np.repeat(np.arange(len(logs)), [one.force_N.size for one in logs])
         self.begins = np.concatenate([[0], np.cumsum([one.force_N.size for one in logs])[:-1]])
         self.force = np.concatenate([one.force_N for one in logs])
         self.count = np.concatenate([one.count for one in logs]).astype(np.float64)
+        #: (k,): weight of an observation's bend: Simpson's, less what n samples miss of a mean over all time.
+        self.bend = (1.0 - self.count**-2) / 6.0
         self.worth = 1.0 / (1.0 / self.count + np.concatenate([one.digits for one in logs]))
         self.chain = np.concatenate([one.chain for one in logs])
         self.obs_step = np.concatenate([one.step_s for one in logs])
@@ -267,11 +269,11 @@ class System:
         """Observations of values at points, (..., m) -> (..., k)."""
         if self.sampled:
             return np.asarray(np.take(values, self.at[0], axis=-1, mode="clip"))
-        out: FloatArray = np.take(values, self.at[1], axis=-1, mode="clip")
-        out *= 4.0
-        for side in self.at[::2]:
-            out += np.take(values, side, axis=-1, mode="clip")
-        out /= 6.0
+        first, middle, last = (np.take(values, at, axis=-1, mode="clip") for at in self.at)
+        out: FloatArray = first + last
+        out -= 2.0 * middle
+        out *= self.bend
+        out += middle
         return out
 
     def recorded(self, force: FloatArray, machine: FloatArray) -> FloatArray:
