@@ -191,7 +191,7 @@ def sandwich_covariance(target: SpecimenTarget) -> tuple[FloatArray, float]:
     worth = max(float(np.trace(spread)) / max(float(np.trace(data)), 1e-12), 1.0)
     weight = count / (count + whitened.shape[1])
     middle, freedom = weight * spread + (1.0 - weight) * worth * data, count - 1
-    if 1 < logs < LOGS_AS_CLUSTERS and not system.effects.time:
+    if 1 < logs < LOGS_AS_CLUSTERS:
         stated = middle + _between(target, data, root)
         freedom = BETWEEN_FREEDOM + logs - 1
         seen = (logs - 1) * _spread(rows, system.log)[0]
