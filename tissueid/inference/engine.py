@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from tissueid.arrays import FloatArray
 from tissueid.inference.blocks import Blocks
 from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law, law_of
 from tissueid.inference.choice import (
@@ -129,7 +128,7 @@ class _Fitting:
         self.base, self.request, self.least_N, self.step_s = base, request, least_N, step_s
         self.speed = speed  # number of the speed of each log
         self.scatter, laws = WIDE, request.candidates
-        self.times: dict[tuple[int, int], FloatArray] = {}  # ln times by order of the Kelvin-Voigt law
+        self.known: dict[tuple[int, int], Point] = {}  # optima by order of the Kelvin-Voigt law
         # of laws without a Kelvin-Voigt one, the noise and the logs' differences are told by the freest
         told = [] if laws.paper is not None else [self.named(one) for one in laws.laws if not one.mark]
         self.freest = max(told, key=lambda law: law.freedom, default=None)
@@ -168,16 +167,19 @@ class _Fitting:
     def candidate(self, law: ChannelLaw, memory: Memory) -> tuple[System, Optimum]:
         """The best of several starts."""
         system = self.base.under(law)
-        at = replace(self.at, log_times=self.times.get((law.branches - 1, law.degree), self.at.log_times))
-        starts = starting_points(system, law, at, whitener_of(system, memory))
+        order, whole = (law.branches, law.degree), law.model_of is None
+        fewer = self.known.get((law.branches - 1, law.degree), self.at)
+        at = replace(self.at, log_times=fewer.log_times)
+        starts = [self.known[order]] if whole and order in self.known else []
+        starts += starting_points(system, law, at, whitener_of(system, memory))
         found = list[tuple[float, Optimum]]()
         for start in starts:
             least = min((reached for reached, _ in found), default=np.inf)
             one = self.minimise(system, start, memory, LOOK_STEPS, least)
             found.append((badness(system, one), one))
         best = min(found, key=itemgetter(0))[1]
-        if law.model_of is None:
-            self.times[law.branches, law.degree] = best.point.log_times
+        if whole:
+            self.known[order] = best.point
         return system, best
 
     def learn_scatter(self, branches: int, degree: int) -> None:
@@ -188,6 +190,8 @@ class _Fitting:
         for _ in range(SCATTER_ROUNDS):
             self.scatter = scatter_of(system, optimum, self.speed)
             optimum = self.minimise(system, optimum.point, Memory(), LOOK_STEPS)
+        if system.law.model_of is None:
+            self.known[branches, degree] = optimum.point
         self.at = replace(self.at, own=optimum.point.own, machine=optimum.point.machine)
 
 

@@ -213,7 +213,7 @@ def pinned(normal: Normal, point: Point, *, centred: bool) -> FloatArray:
 def covariance_of(hessian: FloatArray) -> FloatArray:
     """Inverse of a Hessian; directions without curvature get the largest variance there is."""
     hessian = hessian + FLAT * np.eye(len(hessian))
-    scale = np.sqrt(np.diag(hessian))
+    scale = np.sqrt(np.maximum(np.diag(hessian), FLAT))
     values, vectors = np.linalg.eigh(hessian / scale / scale[:, None])
     values = np.maximum(values, 1e-13 * max(float(values[-1]), 1e-300))
     return np.asarray((vectors / values) @ vectors.T / scale / scale[:, None])
