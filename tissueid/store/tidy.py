@@ -53,8 +53,8 @@ _SPECIMEN_COVARIATES: Mapping[str, str] = MappingProxyType(
     }
 )
 _TRIAL_FIT = (
-    *("n_samples", "speed_mm_s", "depth_mm", "gain", "contact_offset_mm", "nrmsd", "nrmsd_mean", "rmse_N"),
-    *("max_residual_fraction", "residual_acf1"),
+    *("n_samples", "speed_mm_s", "depth_mm", "gain", "contact_offset_mm", "time_ratio"),
+    *("nrmsd", "nrmsd_mean", "rmse_N", "max_residual_fraction", "residual_acf1"),
 )
 _HOLD = (
     *("holds", "hold_start_s", "hold_end_s", "hold_peak_force_N", "tau_single_s", "nrmsd_single"),
