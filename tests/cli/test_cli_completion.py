@@ -43,7 +43,7 @@ ENDS = {
     "fit --require rel": "plain,relaxation-time",
     "fit --recipe mts": "plain,mts-793",
     "fit lab": "file,lab",
-    "report o": "file,o",
+    "report o": "dir,o",
     "cohort o": "dir,o",
     "study ch": "plain,check",
     "explain not_id": "plain,not_identified",
