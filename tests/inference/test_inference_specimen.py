@@ -145,7 +145,8 @@ def test_standard_errors_are_the_spread_over_repeated_recordings(pooling):
     """25 seeds: an estimated sd scatters by 14 %, so that 0.65 to 1.45 fails an error of half or double.
 
     Logs that may differ do: of logs without scatter five can't say that there is none.  Their static shapes
-    are alike here all the same, which leaves too wide an error of these.
+    and times are alike here all the same, which leaves too wide an error of these: one speed each, 4 % of a
+    time that is known to 0.4 %.
     """
     recipe = small_recipe(branches=(GROWING,), cv_both=0.0 if pooling == "shared" else 0.05)
     truth = {"relaxation_time_s": 0.2, "viscosity_N_s_per_mm": 8.4, "stiffness_0_N_per_mm": 30.0}
@@ -154,7 +155,8 @@ def test_standard_errors_are_the_spread_over_repeated_recordings(pooling):
     for name, number in truth.items():
         values, claims = ([one[name].detail[key] for one in found] for key in ("estimate", "estimate_stderr"))
         spread, claim = np.std(values, ddof=1), np.mean(claims)
-        least = 0.4 if pooling == "scaled" and name.startswith("static") else 0.65
+        alike = {"static": 0.4, "relaxation": 0.15} if pooling == "scaled" else {}
+        least = alike.get(name.partition("_")[0], 0.65)
         assert least <= spread / claim <= 1.45, (name, spread, claim)
         assert abs(np.mean(values) - number) <= 4.0 * claim / np.sqrt(SEEDS), name
 
