@@ -72,15 +72,20 @@ def test_two_logs_leave_what_they_have_in_common_open_evenly():
         assert 0.5 < up / down < 2.0
 
 
-def test_sites_that_relax_at_different_rates_are_not_explained_by_a_soft_machine():
+def sites(*ratios):
+    """Recordings of one tissue at sites whose relaxation times are these times its own."""
+
     def site(ratio):
         return lambda t, x: 2.0 * x + 0.3 * x**2 + 0.05 * x**3 + 3.0 * relaxing(t, x, 0.5 * ratio)
 
-    logs = [
+    return [
         recorded(site(ratio), seed=seed, noise=0.0005, rate_Hz=200.0, depth=4.0, hold_s=8.0)
-        for seed, ratio in enumerate((0.95, 1.0, 1.05))
+        for seed, ratio in enumerate(ratios)
     ]
-    fit = ti.fit(logs, specimen="three sites").sample()
+
+
+def test_sites_that_relax_at_different_rates_are_not_explained_by_a_soft_machine():
+    fit = ti.fit(sites(0.95, 1.0, 1.05), specimen="three sites").sample()
     found = {one["name"]: one for one in fit.result.as_json()["parameters"]}
     truths = {"static_1_N_per_mm": 2.0, "stiffness_0_N_per_mm": 3.0, "relaxation_time_s": 0.5}
     for name, truth in (truths | {"viscosity_N_s_per_mm": 1.5}).items():
@@ -89,6 +94,16 @@ def test_sites_that_relax_at_different_rates_are_not_explained_by_a_soft_machine
         assert high - low < 0.5 * truth
     assert [one.time_ratio for one in fit.result.trials] == pytest.approx([0.95, 1.0, 1.05], abs=0.01)
     assert not {"discrepancy", "machine_implausible"} & {flag.code for flag in fit.result.flags}
+
+
+@pytest.mark.system
+def test_the_band_of_another_site_knows_that_sites_relax_at_different_rates():
+    fast, one, slow = sites(0.8, 1.0, 1.25)
+    low, high = ti.fit([fast, one, slow], "polynomial * prony:1").sample(draws=400).band(one)
+    stop = int(np.argmax(one.displacement_mm > 4.999))
+    apart = float((slow.force_N - fast.force_N)[stop - 20 : stop].mean())
+    # Student's t of two degrees of freedom times the scatter of three
+    assert 0.5 * (high - low)[stop] > 4.30 * 0.5 * apart
 
 
 def test_what_is_stated_of_a_coefficient_is_not_drawn_down_by_the_common_size():

@@ -299,18 +299,23 @@ def half_width(
 
     The spread of simulated curves at each sample, as many times as 95 % of them stay within at every sample
     (Montiel Olea & Plagborg-Moller 2019, doi 10.1002/jae.2656).
-    ``draws`` (m, p): tissues of the posterior, which have the error of the mean.  Gains spread as those of
-    the fit's logs do (Student's t of their logarithms; none with one log), contact by its sd.
+    ``draws`` (m, p): tissues of the posterior, which have the error of the mean.  Gains and relaxation times
+    spread as those of the fit's logs do (Student's t of their logarithms; none with one log), contact by its
+    sd.
     """
     rng, data = np.random.default_rng(SEED), log.data
     theta = draws[np.linspace(0, len(draws) - 1, min(CURVES, len(draws))).astype(np.int64)]
-    gain, shift = np.ones(len(theta)), rng.normal(0.0, handle.contact_sd_mm, len(theta))
-    ln_gain = fitted.identified.optimum.point.own[:, 0] if fitted.identified.system.effects.gain else None
-    if ln_gain is not None and len(ln_gain) > 1:
-        gain = np.exp(ln_gain.std(ddof=1) * rng.standard_t(len(ln_gain) - 1, len(theta)))
+    shift = rng.normal(0.0, handle.contact_sd_mm, len(theta))
+    own, effects = fitted.identified.optimum.point.own, fitted.identified.system.effects
+
+    def spreading(at: int) -> FloatArray:
+        return np.asarray(np.exp(own[:, at].std(ddof=1) * rng.standard_t(len(own) - 1, len(theta))))
+
+    gain = spreading(0) if effects.gain else np.ones(len(theta))
+    slower = spreading(effects.time_at) if effects.time else np.ones(len(theta))
     model, curves = fitted.tissue.model, np.empty((len(theta), data.time_s.size))
     for k, off in enumerate(shift):
-        path = ContactPath(data.time_s, np.maximum(data.depth_mm - off, 0.0), data.speed_ratio)
+        path = ContactPath(data.time_s / slower[k], np.maximum(data.depth_mm - off, 0.0), data.speed_ratio)
         curves[k] = gain[k] * model.force(theta[k], path)
     sigma = fitted.noise.sigma_N
     # a law misses all along alike, noise at each sample anew
