@@ -1,8 +1,7 @@
 """Blocks of a log: stretches in which the measured travel is straight, each with its mean force.
 
 A short log is kept sample by sample.  Blocks of a long one grow by :data:`GROWTH` behind every corner, so
-that a relaxation is seen evenly in ln time, and are compared with the model's mean over them (Simpson's
-rule).
+that a relaxation is seen evenly in ln time, and are compared with the model's mean over their samples.
 """
 
 from __future__ import annotations

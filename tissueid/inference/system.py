@@ -468,11 +468,8 @@ class System:
         )
         by_contact = (still - moved) / STEP_DEPTH
         parts += [-self.at_points(self.onset) * by_contact if machine else none, *columns]
-        by_time = sum(parts[: self.law.times], none)
-        if self.effects.time and self.law.model_of is not None:
-            slower = self.law.columns(point.log_times, self.path(behind, point, STEP_LN))
-            by_time = (gain * (point.linear @ slower) - still) / STEP_LN
-        parts += self._by_own(base, behind, by_contact, by_time)
+        by_time = self._by_time(point, behind, (gain, still), parts[: self.law.times])
+        parts += self._by_own(base, behind, [by_contact, *by_time])
         tip = np.stack(parts)
         if self._yields(point):
             tip = self._given_way(point, path, tip)
@@ -497,14 +494,27 @@ class System:
             own[:, int(self.effects.gain)] += by[:, -1]
         return Derivatives(found[:, 0] + self._carried(point), shared, own)
 
+    def _by_time(
+        self, point: Point, behind: FloatArray, here: tuple[FloatArray, FloatArray], parts: list[FloatArray]
+    ) -> list[FloatArray]:
+        """Derivative by a log's ln time, if it has one; ``here``: gain and force, ``parts``: by ln times."""
+        if not self.effects.time:
+            return []
+        if self.law.model_of is None:
+            # nothing else is sought in its logarithm: all times move together
+            return [sum(parts, np.zeros(behind.size))]
+        gain, still = here
+        slower = self.law.columns(point.log_times, self.path(behind, point, STEP_LN))
+        return [(gain * (point.linear @ slower) - still) / STEP_LN]
+
     def _by_own(
-        self, base: FloatArray, behind: FloatArray, by_contact: FloatArray, by_time: FloatArray
+        self, base: FloatArray, behind: FloatArray, by_contact_and_time: list[FloatArray]
     ) -> list[FloatArray]:
         """Derivatives of the force at the tip by what is a log's own, the frame held; (m,) each."""
         out = []
         if self.effects.gain:
             out.append(base)
-        out += [by_contact, by_time][: 1 + self.effects.time]
+        out += by_contact_and_time
         if self.effects.shape:
             out += list(base * _shape(np.maximum(behind, 0.0)))
         return out

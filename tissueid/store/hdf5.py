@@ -41,13 +41,12 @@ def open_file(path: Path | IO[bytes], kind: str, way_out: str, missing: str | No
     """
     if missing is not None and isinstance(path, Path) and not path.is_file():
         raise BundleError(f"{path}: there is no such file; `tissueid fit` writes {missing}")
-    if isinstance(path, Path) and path.is_file() and not h5py.is_hdf5(path):
-        raise BundleError(f"{path}: cannot be read as {kind}: it is no HDF5 file; {way_out}")
     try:
         with h5py.File(path, "r") as file:
             yield file
     except HDF5_ERRORS as error:
-        raise BundleError(f"{path}: cannot be read as {kind} ({error}); {way_out}") from error
+        why = "no HDF5 file" if "signature not found" in str(error) else error
+        raise BundleError(f"{path}: cannot be read as {kind} ({why}); {way_out}") from error
 
 
 def check_format(group: Any, expected: str) -> None:
