@@ -15,7 +15,7 @@ import lmfit
 import numpy as np
 from numpy.typing import NDArray
 from real_baselines import RAYS, Log, Paper, cone_weights, deepest, rms
-from real_pooled import GAIN, OFFSET_MM, SHAPE, PooledProblem
+from real_pooled import GAIN, OFFSET_MM, SHAPE, SLOWER, PooledProblem
 
 Array = NDArray[np.float64]
 
@@ -59,8 +59,8 @@ def _parameters(
     for i, gain in enumerate(problem.gain_start()):
         parameters.add(f"lngain{i}", value=gain if several else 0.0, min=-GAIN, max=GAIN, vary=several)
         parameters.add(f"offset{i}", value=0.0, min=-OFFSET_MM, max=OFFSET_MM, vary=contacts)
-        for k in range(2):
-            parameters.add(f"shape{i}_{k}", value=0.0, min=-SHAPE, max=SHAPE, vary=several and shaped)
+        for k, most in enumerate((SLOWER, SHAPE, SHAPE)):
+            parameters.add(f"shape{i}_{k}", value=0.0, min=-most, max=most, vary=several and shaped)
     return parameters
 
 
@@ -72,7 +72,7 @@ def _parts(parameters: lmfit.Parameters, problem: PooledProblem) -> tuple[Array,
         np.sort([values[f"lntau{j}"] for j in range(problem.law.branches)]),
         np.array([values[f"lngain{i}"] for i in count]),
         np.array([values[f"offset{i}"] for i in count]),
-        np.array([[values[f"shape{i}_{k}"] for k in range(2)] for i in count]),
+        np.array([[values[f"shape{i}_{k}"] for k in range(3)] for i in count]),
     )
 
 
@@ -139,8 +139,8 @@ def independent_fit(
 
     ``sigma_N``: standard deviation of the force that the priors of contact offsets are weighed against;
     ``contact_sd_mm``: one a log, contact points are not searched without; ``shaped``: the gain of each of
-    several logs is a curve of depth.  Returns values by their names in ``identification.json``, and the RMSE
-    over the counted samples [N].
+    several logs is a curve of depth, and each relaxes at its own rate.  Returns values by their names in
+    ``identification.json``, and the RMSE over the counted samples [N].
     """
     law = Paper(*order, deepest(logs), rays=RAYS if len(logs) > 1 else FINE_RAYS)
     problem = PooledProblem(law, logs)

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 GAIN, OFFSET_MM = 3.0, 1.0
 #: Largest ln gain at the surface and at half depth beside that at the largest depth.
 SHAPE = 3.0
+#: Largest ln by which a log relaxes slower than the tissue.
+SLOWER = 1.0
 #: Step of numerical derivatives.
 STEP = 1e-6
 
@@ -50,16 +52,17 @@ class PooledProblem:
         return self._kept[place][1]
 
     def columns(self, ln_tau: Array, ln_gain: Array, offset_mm: Array, shape: Array) -> Array:
-        """Columns of the counted samples of all logs; shapes (logs, 2) bend a log's gain over depth.
+        """Columns of the counted samples of all logs, whose shapes (logs, 3) are how much slower they relax
+        (ln), and what bends their gain over depth.
 
         Gains and shapes count from their mean over logs, which is the tissue's.
         """
         gain, shape = ln_gain - np.mean(ln_gain), shape - shape.mean(axis=0)
         parts = []
         for i in range(len(self.logs)):
-            depth, states = self.moved(i, ln_tau, float(offset_mm[i]))
+            depth, states = self.moved(i, ln_tau + shape[i, 0], float(offset_mm[i]))
             u = depth / self.law.depth_mm
-            bend = (1.0 - u) * (shape[i, 0] * (1.0 - u) + 2.0 * shape[i, 1] * u)
+            bend = (1.0 - u) * (shape[i, 1] * (1.0 - u) + 2.0 * shape[i, 2] * u)
             parts.append(np.exp(gain[i] + bend)[:, None] * self.law.columns_of(depth, states))
         return np.concatenate(parts)
 
@@ -93,23 +96,25 @@ class PooledProblem:
 def fit_pooled(law: Paper, logs: Sequence[Log], *, shaped: bool = False) -> PooledFit:
     """Least squares with a gain and a contact offset of each log's own.
 
-    ``shaped``: a log's gain is a curve of depth, the exponential of a quadratic.
+    ``shaped``: a log's gain is a curve of depth, the exponential of a quadratic, and it relaxes at its rate.
     """
     problem = PooledProblem(law, logs)
     count, size = len(logs), law.branches
-    bent = 2 * count if shaped else 0
+    bent = 3 * count if shaped else 0
     low, high = law.bounds(logs)
 
     def split(z: Array) -> tuple[Array, Array, Array, Array]:
         offset, shape = z[size + count : size + 2 * count], z[size + 2 * count :]
-        return z[:size], z[size : size + count], offset, np.resize(shape if bent else 0.0, (count, 2))
+        return z[:size], z[size : size + count], offset, np.resize(shape if bent else 0.0, (count, 3))
 
     gains, still = problem.gain_start(), np.zeros(count)
     starts = law.starts(logs)
-    flat = np.zeros((count, 2))
+    flat = np.zeros((count, 3))
     squares = [(problem.residual(problem.columns(one, gains, still, flat)) ** 2).sum() for one in starts]
     first = np.concatenate([starts[int(np.argmin(squares))], gains, still, np.zeros(bent)])
-    wide = np.repeat([GAIN + 1.0, OFFSET_MM, SHAPE], [count, count, bent])
+    wide = np.concatenate(
+        [np.repeat([GAIN + 1.0, OFFSET_MM], count), np.resize([SLOWER, SHAPE, SHAPE], bent)]
+    )
     lower, upper = np.concatenate([low, -wide]), np.concatenate([high, wide])
     found = least_squares(
         lambda z: problem.residual(problem.columns(*split(z))),

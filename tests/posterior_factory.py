@@ -14,7 +14,6 @@ from msgspec import structs
 
 from tissueid.documents.identification import (
     BudgetRow,
-    ComparisonRow,
     MisfitAlarm,
     MisfitCheck,
     NoiseFit,
@@ -102,12 +101,6 @@ def posterior(*, draws: int = 4_000, seed: int = 0, misfit: bool = False, total:
             PriorRow("skew_s", "normal, mean 0, sd 0.002 s", False, 0.0001, 0.0013, 0.35),
         ),
         budget=tuple(budget),
-        comparison=(
-            ComparisonRow("1 branch, K of degree 0", 0.0, 0.1, 0.0, 0.0, 0.0, 0.0, "chosen"),
-            ComparisonRow("2 branches, K of degree 0", -0.8, 0.2, -0.3, 1.1, None, None, "undecided"),
-            ComparisonRow("static only", -412.0, 0.1, -380.0, 21.0, -350.0, 30.0, "worse"),
-            ComparisonRow("power law", None, None, -35.0, 9.0, None, None, "beside"),
-        ),
         misfit=MisfitAlarm(misfit, checks),
     )
 

@@ -310,6 +310,10 @@ _NOTE = {
         "the recording starts in contact or within its noise: no samples in air",
         "Zero force and zero depth were not seen; the linear static term may be off.",
         "Start in air, or state --contact.", "start in contact"),
+    "begins_moving": FlagKind("Start in motion",
+        "the recording starts under a force while the tool moves: it came at that speed",
+        "Contact is where that approach began; where the samples do not tell it from a preload that had "
+        "relaxed, intervals hold both.", "Start the record in air.", "start in motion"),
     "no_hold": FlagKind("No hold", "no hold was found: there is nothing to relax",
         "Relaxation times come from the shape of ramps alone, and may not be identified.",
         "Hold at the largest depth, longer than tissue relaxes.", "show no hold"),

@@ -47,7 +47,7 @@ _NOT_SAMPLED = dict.fromkeys(UNCERTAINTY)
 
 #: What a specimen says of a posterior it does not have.
 _NO_POSTERIOR: Mapping[str, Any] = MappingProxyType(
-    {"sampler": None, "noise": None, "priors": [], "budget": [], "model_comparison": [], "misfit": None}
+    {"sampler": None, "noise": None, "priors": [], "budget": [], "misfit": None}
 )
 
 

@@ -22,7 +22,6 @@ from tissueid.arrays import FloatArray
 from tissueid.documents import plain
 from tissueid.documents.identification import (
     BudgetRow,
-    ComparisonRow,
     MisfitAlarm,
     NoiseFit,
     PriorRow,
@@ -118,7 +117,6 @@ class Posterior(Shown):
         The sampled coordinates after burn-in, thinned.
     priors : tuple of PriorRow
     budget : tuple of BudgetRow
-    comparison : tuple of ComparisonRow
     misfit : MisfitAlarm or None
     bands : mapping
         (path, sheet) of a trial -> predictive band, ndarray of shape (3, m): low, median, high [N] at the
@@ -140,7 +138,6 @@ class Posterior(Shown):
     chain: FloatArray
     priors: tuple[PriorRow, ...] = ()
     budget: tuple[BudgetRow, ...] = ()
-    comparison: tuple[ComparisonRow, ...] = ()
     misfit: MisfitAlarm | None = None
     bands: Mapping[tuple[str, str | None], FloatArray] = field(default_factory=dict)
     log_density: FloatArray | None = None
@@ -160,7 +157,6 @@ class Posterior(Shown):
             "noise": plain(self.noise),
             "priors": _finite(plain(self.priors)),
             "budget": _finite(plain(self.budget)),
-            "model_comparison": _finite(plain(self.comparison)),
             "misfit": _finite(plain(self.misfit)),
         }
 

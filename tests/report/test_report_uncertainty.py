@@ -108,8 +108,6 @@ def test_sampler_noise_priors_models_and_checks_are_told(sure):
         "at least 8,700 effective draws",
         "34 % of the proposals accepted; converged",
         "Static force, linear term normal, mean 5, sd 2 by the study 4.000 ± 0.050",
-        "2 branches, K of degree 0 −0.80 ± 0.20 −0.3 ± 1.1 – i as good, undecided",
-        "power law – −35.0 ± 9.0 – i beside: compared only",
         "calibrated for the stated model and noise",
         "where the model itself is wrong they say nothing",
     ):

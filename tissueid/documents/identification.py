@@ -300,20 +300,6 @@ class BudgetRow(Document, frozen=True, omit_defaults=False):
     share: NonNegative | None  # Of the total variance; null for rows that are no part of the sum
 
 
-class ComparisonRow(Document, frozen=True, omit_defaults=False):
-    """One model beside the others."""
-
-    model: Text  # In words
-    log_evidence: float | None  # Natural logarithm of the marginal likelihood, less that of the best
-    log_evidence_se: NonNegative | None  # Its Monte-Carlo standard error
-    elpd_log: float | None  # Log predictive density of held-out logs, less that of the best
-    elpd_log_se: NonNegative | None  # Standard error of that difference
-    elpd_speed: float | None  # Log predictive density of held-out speeds, less that of the best
-    elpd_speed_se: NonNegative | None  # Standard error of that difference
-    #: `undecided`: as good as the chosen one; `beside`: compared only, it can't be rendered
-    verdict: Literal["chosen", "undecided", "worse", "beside"]
-
-
 class MisfitCheck(Document, frozen=True, omit_defaults=False):
     """One check."""
 
@@ -353,7 +339,6 @@ class Specimen(Document, frozen=True):
     noise: NoiseFit | None  # Noise of the force in the posterior; null where none was sampled
     priors: tuple[PriorRow, ...]  # Priors beside their posteriors
     budget: tuple[BudgetRow, ...]  # Share of each source in the uncertainty of each parameter
-    model_comparison: tuple[ComparisonRow, ...]  # Candidate models by evidence and by held-out data
     #: Checks of residuals for what the model and its noise can't make; null where it was not looked at
     misfit: MisfitAlarm | None
     flags: tuple[Flag, ...]

@@ -186,14 +186,16 @@ def _corners(time: FloatArray, depth: FloatArray) -> tuple[FloatArray, FloatArra
     return (time[i] + after)[inside], (depth[i] + left * after)[inside]
 
 
-def _with_lead(time: FloatArray, depth: FloatArray, sd_mm: float, step_s: float) -> tuple[float, float]:
-    """A point before contact on the line that the first samples show."""
+def _lead(time: FloatArray, depth: FloatArray, sd_mm: float, step_s: float) -> tuple[FloatArray, FloatArray]:
+    """Points before contact on the line that the first samples show, as close as blocks."""
     reach = min(time.size - 1, 4)
     speed = (depth[reach] - depth[0]) / max(time[reach] - time[0], 1e-300)
     if speed <= 0.0:
-        return float(time[0]) - step_s, float(depth[0])
+        return time[:1] - step_s, depth[:1]
     lead = LEAD_SD * sd_mm + float(depth[0])
-    return float(time[0]) - max(lead / speed, 1e-9), float(depth[0]) - lead
+    count = max(int(lead / (TRAVEL_SHARE * float(np.ptp(depth)))), 1)
+    back = np.linspace(1.0, 0.0, count, endpoint=False)
+    return time[0] - back * max(lead / speed, 1e-9), depth[0] - back * lead
 
 
 def log_blocks(
@@ -214,9 +216,9 @@ def log_blocks(
         grid_t, grid_x = np.insert(grid_t, place, corners_s), np.insert(grid_x, place, corners_mm)
         at = at + np.searchsorted(place, at, side="right")
     if leads:
-        t0, x0 = _with_lead(grid_t, grid_x, contact_sd_mm, step_s)
-        grid_t, grid_x = np.concatenate([[t0], grid_t]), np.concatenate([[x0], grid_x])
-        at = at + 1
+        before_s, before_mm = _lead(grid_t, grid_x, contact_sd_mm, step_s)
+        grid_t, grid_x = np.concatenate([before_s, grid_t]), np.concatenate([before_mm, grid_x])
+        at = at + before_s.size
     chain = got.opens.copy()
     chain[0] = True
     gap = np.diff(got.place, prepend=got.place[0] - 1) > 1

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.blocks import Blocks
 from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law, law_of
 from tissueid.inference.choice import (
@@ -96,6 +97,8 @@ class Identified:
     left_out: str  # what was predicted
     request: Request
     rivals: tuple[Rival, ...] = ()  # other laws beside the chosen one, the simplest of each kind
+    #: Way of ln times and linear parameters to another start that is as likely (:mod:`.arrival`).
+    apart: FloatArray | None = None
 
     @property
     def quotable(self) -> bool:

@@ -33,6 +33,7 @@ class LogHandle:
     #: The law whose surface is followed; ``None`` takes contact loss from the measured force.
     surface: FreeSurface | None = None
     hold_share: float = 1.0  # first share of every hold that takes part
+    arrives: bool = False  # true where it is fitted as one that begins in motion
     follows_speed: bool = False  # the speed ratio along the log is measured, and samples at corners stay out
 
     def window(self, trial: Trial, segmentation: Segmentation, *, guard: bool = False) -> FittedLog | None:
@@ -60,13 +61,14 @@ class LogHandle:
 
 def blocks_of(handle: LogHandle, log: FittedLog, *, whole: bool = False) -> Blocks:
     """Blocks of the fitted part of a log; every sample of it where ``whole``."""
-    contact = handle.segmentation.contact
+    contact, back_mm = handle.segmentation.contact, log.arrives_mm if handle.arrives else 0.0
     data = assign_folds(log, handle.segmentation.of_kind("hold"))
+    in_air = contact is not None and contact.in_record and not (handle.unloading or handle.follows_speed)
     return log_blocks(
         data,
         step_s=log.step_s,
-        contact_sd_mm=max(handle.contact_sd_mm, OFFSET_SD_FLOOR * log.depth_mm),
-        leads=contact is not None and contact.in_record and not (handle.unloading or handle.follows_speed),
+        contact_sd_mm=max(handle.contact_sd_mm, OFFSET_SD_FLOOR * log.depth_mm, back_mm),
+        leads=in_air or back_mm > 0.0,
         whole=whole,
     )
 

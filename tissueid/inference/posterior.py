@@ -6,16 +6,16 @@ the printed value is the median.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tissueid.arrays import FloatArray
-from tissueid.documents.identification import ComparisonRow, SamplerReport
+from tissueid.documents.identification import SamplerReport
+from tissueid.inference.arrival import along
 from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.diagnostics import diagnose
 from tissueid.inference.engine import refit
@@ -95,11 +95,12 @@ def _passive(law: ChannelLaw, linear: FloatArray, optimum: FloatArray) -> FloatA
     return out
 
 
-def _theta_of(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
-    """Theta of vectors, every one of them passive."""
+def _theta_of(target: SpecimenTarget, vectors: FloatArray, away: FloatArray | None) -> FloatArray:
+    """Theta of vectors, each of them passive; ``away``: added to their ln times and linear parameters."""
     law, shared = target.law, target.shared(vectors)
-    linear = _passive(law, shared[:, law.times + len(MACHINE) :], target.optimum.point.linear)
-    return law.theta(shared[:, : law.times], linear)
+    t, way = law.times, np.zeros(law.times + law.linear) if away is None else away
+    linear = _passive(law, shared[:, t + len(MACHINE) :] + way[..., t:], target.optimum.point.linear)
+    return law.theta(shared[:, :t] + way[..., :t], linear)
 
 
 def _at_mean_machine(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
@@ -118,14 +119,17 @@ def _at_mean_machine(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
     return out
 
 
-def _draws(target: SpecimenTarget, sampled: Sampled, priors: Priors, seed: int) -> Draws:
+def _draws(
+    target: SpecimenTarget, sampled: Sampled, priors: Priors, seed: int, apart: FloatArray | None
+) -> Draws:
     """Draws as vectors and as tissues."""
     z, central = sampled.chain.reshape(-1, sampled.chain.shape[2]), sampled.at_mean_machine
     vectors = target.vectors(z)
     inner = _at_mean_machine(target, vectors) if central is None else target.vectors(central)
     inner = target.following(inner, z)
     gains = np.ones((len(vectors), 2))
-    total, statistical = _theta_of(target, vectors), _theta_of(target, inner)
+    away = None if apart is None else along(apart, len(vectors), seed)
+    total, statistical = _theta_of(target, vectors, away), _theta_of(target, inner, away)
     if target.open:
         rng, known = np.random.default_rng([seed, 5]), [priors.calibration[name] for name in GAINS]
         for k, one in enumerate(known):
@@ -196,7 +200,7 @@ def with_posterior(
     with threadpool_limits(limits=1, user_api="blas"):
         target, sampled = _sampled(fitted, options, instrument, checkpoint, key, tick)
         tick("the tissue's centre")
-        draws = _draws(target, sampled, priors, options.seed)
+        draws = _draws(target, sampled, priors, options.seed, fitted.identified.apart)
         centred = _centred(fitted, target, draws)
         return _assembled(centred, target, sampled, draws, instrument=instrument)
 
@@ -328,7 +332,6 @@ def _assembled(
         log_density=sampled.log_density,
         priors=prior_table(target, draws.vectors, draws.statistical, draws.gains if instrument else None),
         budget=uncertainty_budget(target, draws.vectors, draws.gains, total) if total is not None else (),
-        comparison=_rows_of_choice(fit, fitted.identified.as_good),
         misfit=misfit_alarm(fitted.told.blocks, noise),
         bands=predictive_bands(fit, target, draws.vectors, sigma_N=noise.sigma_N),
     )
@@ -346,26 +349,3 @@ def _assembled(
 def _kept(theta: FloatArray) -> FloatArray:
     """The draws that a bundle and a report keep, spread over all."""
     return theta[np.linspace(0, theta.shape[0] - 1, min(KEPT_DRAWS, theta.shape[0])).astype(np.int64)]
-
-
-def _rows_of_choice(fit: SpecimenFit, as_good: Sequence[tuple[int, int]]) -> tuple[ComparisonRow, ...]:
-    """The candidates as the choice by held-out data saw them."""
-    rows, pooling = [], fit.model.static_pooling
-    for row in fit.selection:
-        if "model" in row:
-            continue
-        branches, degree = int(row["branches"]), int(row["stiffness_degree"])
-        other: Literal["undecided", "worse"] = "undecided" if (branches, degree) in as_good else "worse"
-        rows.append(
-            ComparisonRow(
-                model=f"{branches} branch{'es' * (branches > 1)}, K of degree {degree}, {pooling} static",
-                log_evidence=None,
-                log_evidence_se=None,
-                elpd_log=float(row["score"]),
-                elpd_log_se=float(row["stderr"]),
-                elpd_speed=None,
-                elpd_speed_se=None,
-                verdict="chosen" if row["chosen"] else other,
-            )
-        )
-    return tuple(sorted(rows, key=lambda one: (one.verdict != "chosen", -(one.elpd_log or 0.0))))

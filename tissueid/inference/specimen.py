@@ -15,6 +15,7 @@ from tissueid.arrays import FloatArray
 from tissueid.documents.identification import NoiseFit, RelaxationWindow
 from tissueid.documents.quantities import Quoted
 from tissueid.flags import Flag
+from tissueid.inference.arrival import arrived, start_flags
 from tissueid.inference.engine import Identified, Request, identify_logs
 from tissueid.inference.estimates import FEWEST_SLOW, TissueEstimate, estimate_tissue, slow_share
 from tissueid.inference.evidence import log_evidence
@@ -270,6 +271,7 @@ class _Found:
             *window_flags(self.window),
             *damping_flags(found, here),
             *_machine_flags(found, point),
+            *start_flags(found, self.handles),
         )
 
     def _quoted(self, told: Summaries, tissue: TissueEstimate) -> tuple[Quoted, list[Flag]]:
@@ -348,6 +350,7 @@ def _fit(
         followed = follow_surfaces(*first, identify, tick)
     else:
         identified, handles = identify(speed_handles(handles, request.candidates))
+        identified, handles = arrived(identified, handles, partial(_again, request, tick), tick)
         if identified.law.model_of is None and any(one.facts.tool_mm is not None for one in handles):
             followed = _remembered(identified, handles, tick)
     if followed is not None:
@@ -373,6 +376,15 @@ def _fit(
     return found.at(identified.optimum.point)
 
 
+def _again(
+    request: Request, tick: Callable[[str], None], handles: Sequence[LogHandle], like: Identified | None
+) -> tuple[Identified, list[LogHandle]]:
+    """Logs identified as requested, or in the order of another fit alone."""
+    if like is not None:
+        request = replace(request, branches=(like.law.branches,), degrees=(like.law.degree,))
+    return identify_handles(handles, request, tick)
+
+
 #: Contact sd by which a fit moves a contact that then has set; orders that are chosen on surfaces found.
 SET_SD, ORDERS = 3.0, 2
 
@@ -385,9 +397,7 @@ def _remembered(
     A contact that the fit moves far from where it was first met has set: its prior is widened.  The order is
     chosen again on the surface found.
     """
-    law = found.law
-    order = replace(found.request, branches=(law.branches,), degrees=(law.degree,))
-    identify = partial(identify_handles, request=order, tick=tick)
+    law, identify = found.law, partial(_again, found.request, tick, like=found)
     followed = follow_surfaces(found, handles, identify, tick)
     at = adjustments_of(followed.identified, handles, followed.identified.optimum.point)
     met = [(one, one.segmentation.contact) for one in handles]
@@ -417,10 +427,9 @@ def _moved_by_unloading(
 ) -> tuple[Flag, ...]:
     """Flag of numbers that a fit of loading and holds in the same order has elsewhere."""
     tick("loading and holds alone")
-    order = replace(whole.request, branches=(whole.law.branches,), degrees=(whole.law.degree,))
     if any(handle.own_window(handle.load()) is None for handle in handles):
         return ()
-    loaded, _ = identify_handles(handles, order, tick)
+    loaded, _ = _again(whole.request, tick, handles, whole)
     said = unloading_disagrees(loaded, whole, _worth(loaded))
     return () if said is None else (said,)
 

@@ -29,6 +29,9 @@ GUARD_SD = 3.0
 MIN_SAMPLES = 6
 #: Ratio of speeds, and of depths of holds, below which a set counts as one.
 ONE_SPEED, ONE_DEPTH = 1.2, 1.2
+#: A record begins in motion where the tool has gone half the way of this share of its travel, or of so many
+#: samples, in this share of half the time; under a force where that is so many sd of noise.
+BEGINS_SHARE, BEGINS_SAMPLES, EVEN_SHARE, FORCE_SD, TINY_MM = 0.02, 2, 0.75, 4.0, 1e-9
 #: Held-out groups of a specimen with one log, and stretches a phase is cut into for them.
 FOLDS, STRETCHES = 6, 24
 
@@ -81,6 +84,8 @@ class FittedLog:
     #: (n,): depth of a tool that turned back and may have let go: ``data.depth_mm`` is then that of the
     #: surface that it leaves behind.
     tool_mm: FloatArray | None = None
+    #: Doubt about the contact of a record that begins with the tool moving under a force [mm]; else zero.
+    arrives_mm: float = 0.0
 
     def without_samples(self) -> FittedLog:
         """The facts alone: the first and last sample stand for all."""
@@ -180,7 +185,23 @@ def fitted_log(
         has_hold=any(phase.kind in ("hold", "creep") for phase in inside),
         n_samples=int(include.sum()),
         tool_mm=tool,
+        arrives_mm=0.0 if exact or begins or first or contact.in_record else _arrives(x, f, segmentation),
     )
+
+
+def _arrives(depth_mm: FloatArray, force_N: FloatArray, segmentation: Segmentation) -> float:
+    """Depth of the first sample, by its force where that is more; zero where the tool stood."""
+    deepest, noise_N = float(depth_mm.max()), segmentation.force_noise_N
+    begun = int(np.argmax(depth_mm >= depth_mm[0] + BEGINS_SHARE * (deepest - depth_mm[0])))
+    last = max(begun, BEGINS_SAMPLES)
+    half, travel = last // 2, float(depth_mm[last] - depth_mm[0])
+    even = depth_mm[half] - depth_mm[0] >= EVEN_SHARE * travel * half / last
+    if force_N[0] <= FORCE_SD * noise_N or travel <= 0.0 or not even:
+        return 0.0
+    if not any("sd_mm" in flag.values for flag in segmentation.flags if flag.code == "starts_in_contact"):
+        return TINY_MM  # a stated contact is known as it is stated
+    slope = max(float(force_N[last] - force_N[0]), noise_N) / travel
+    return max(float(depth_mm[0]), min(float(force_N[0]) / slope, deepest))
 
 
 def with_holds_cut(log: FittedLog, holds: Sequence[Phase], share: float) -> FittedLog:

@@ -34,7 +34,7 @@ from tissueid.report.quoted_words import cycle_table, quoted_tables
 from tissueid.report.rendering_words import Rendering, rendering_view
 from tissueid.report.specimen_lines import unloading_words
 from tissueid.report.study_words import change_words, frame_words, key_words, stated_facts, stated_table
-from tissueid.report.uncertainty_words import MODEL_VERDICTS, difference_words, paper_view, uncertainty_view
+from tissueid.report.uncertainty_words import paper_view, uncertainty_view
 from tissueid.report.wording import (
     FEW,
     counted,
@@ -69,7 +69,7 @@ _SCRIPTS = ("grids.js", "posterior.js", "law.js", "figures.js", "tables.js")
 #: Functions that templates call by their names, of a value behind a bar as well.
 _WORDS: tuple[Callable[..., Any], ...] = (
     *(number, span, reach, percent, with_error, counted, took, subscripted, in_units, unit_words),
-    *(symbol_words, event_words, parameter_words, difference_words, trial_label, whole_label),
+    *(symbol_words, event_words, parameter_words, trial_label, whole_label),
     *(flag_level, remark_title),
     *(change_words, frame_words, key_words, stated_facts, stated_table),
 )
@@ -90,7 +90,7 @@ def page_environment() -> Environment:
     environment.policies["json.dumps_function"] = partial(json.dumps, default=plain)
     words = {one.__name__: one for one in _WORDS}
     environment.filters |= words
-    environment.globals |= {**words, "MODEL_VERDICTS": MODEL_VERDICTS, "NOT_IDENTIFIED": NOT_IDENTIFIED}
+    environment.globals |= {**words, "NOT_IDENTIFIED": NOT_IDENTIFIED}
     environment.globals["MM_N"] = Units(length="mm", force="N", time="s")
     environment.globals["part"] = environment.get_template("macros.html.j2").module
     return environment

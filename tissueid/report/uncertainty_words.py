@@ -55,13 +55,6 @@ _NUISANCE_WORDS: Mapping[str, str] = {
     "ln_gain_sd": "Scatter of the gain between logs, ln",
     **{f"ln_relaxation_time_{k}": f"Relaxation time of branch {k}, ln [s]" for k in (1, 2, 3)},
 }
-#: Verdict on a model beside others -> level and words of its badge.
-MODEL_VERDICTS: Mapping[str, tuple[str, str]] = {
-    "chosen": ("ok", "chosen"),
-    "undecided": ("note", "as good, undecided"),
-    "worse": ("caution", "worse"),
-    "beside": ("note", "beside: compared only"),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,18 +253,6 @@ def _budget(specimen: Specimen) -> dict[str, Any] | None:
             sd = [number(own[source].sd, 2) if source in own else "–" for source in every]
             rows.append({"of": entry, "shares": shares, "largest": largest, "sd": sd})
     return {"sources": sources, "beside": beside, "rows": rows} if rows else None
-
-
-def difference_words(value: float | None, error: float | None) -> str:
-    """A score less that of the best, with its error."""
-    if value is None:
-        return "–"
-    if value == 0.0:
-        return "0"
-    if not error:
-        return number(value, 3)
-    value_text, error_text = together([value, error], error)
-    return f"{value_text} ± {error_text}"
 
 
 def uncertainty_view(specimen: Specimen) -> dict[str, Any] | None:
