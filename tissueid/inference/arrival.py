@@ -23,8 +23,9 @@ DECIDED = 3.0
 Identify = Callable[[Sequence[LogHandle], Identified | None], tuple[Identified, list[LogHandle]]]
 
 
-def _cost(found: Identified) -> float:
+def _cost(fit: tuple[Identified, list[LogHandle]]) -> float:
     """Criterion of a fit and its free parameters: Akaike's, halved."""
+    found = fit[0]
     return badness(found.system, found.optimum) + found.law.times + found.law.linear
 
 
@@ -35,17 +36,29 @@ def arrived(
     if not any(one.facts.arrives_mm > 0.0 for one in handles):
         return found, handles
     tick("a start in motion")
-    moving = [replace(one, arrives=one.facts.arrives_mm > 0.0) for one in handles]
-    best, on, other = found, handles, identify(moving, found)[0]
-    if _cost(other) <= _cost(found) + DECIDED:
-        free, there = identify(moving, None)
-        if _cost(free) < _cost(found):
-            alike = (free.law.branches, free.law.degree) == (found.law.branches, found.law.degree)
-            best, on, other = free, there, found if alike else identify(handles, free)[0]
-    if _cost(other) > _cost(best) + DECIDED:
+    moving = [_in_motion(one) if one.facts.arrives_mm > 0.0 else one for one in handles]
+    (best, on), (other, at) = sorted([(found, handles), identify(moving, None)], key=_cost)
+    if (best.law.branches, best.law.degree) != (other.law.branches, other.law.degree):
+        other, at = identify(at, best)
+    if _cost((other, at)) > _cost((best, on)) + DECIDED:
         return best, on
     ways = [np.concatenate([one.optimum.point.log_times, one.optimum.point.linear]) for one in (other, best)]
     return replace(best, apart=ways[0] - ways[1]), on
+
+
+def _in_motion(handle: LogHandle) -> LogHandle:
+    """The log as one whose tool came at the speed of its first samples, from where their stiffness says."""
+    divided, back_mm = handle.segmentation, handle.facts.arrives_mm
+    deeper_mm = float(handle.facts.data.depth_mm[0]) - back_mm
+    assert divided.contact is not None  # noqa: S101  (it is fitted)
+    met_mm = divided.contact.displacement_mm + divided.compression_sign * deeper_mm
+    return replace(
+        handle,
+        arrives=True,
+        segmentation=replace(divided, contact=replace(divided.contact, displacement_mm=met_mm)),
+        contact_shift_mm=deeper_mm,
+        contact_sd_mm=back_mm if deeper_mm else handle.contact_sd_mm,
+    )
 
 
 def start_flags(found: Identified, handles: Sequence[LogHandle]) -> tuple[Flag, ...]:

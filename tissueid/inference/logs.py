@@ -61,14 +61,14 @@ class LogHandle:
 
 def blocks_of(handle: LogHandle, log: FittedLog, *, whole: bool = False) -> Blocks:
     """Blocks of the fitted part of a log; every sample of it where ``whole``."""
-    contact, back_mm = handle.segmentation.contact, log.arrives_mm if handle.arrives else 0.0
+    contact = handle.segmentation.contact
     data = assign_folds(log, handle.segmentation.of_kind("hold"))
     in_air = contact is not None and contact.in_record and not (handle.unloading or handle.follows_speed)
     return log_blocks(
         data,
         step_s=log.step_s,
-        contact_sd_mm=max(handle.contact_sd_mm, OFFSET_SD_FLOOR * log.depth_mm, back_mm),
-        leads=in_air or back_mm > 0.0,
+        contact_sd_mm=max(handle.contact_sd_mm, OFFSET_SD_FLOOR * log.depth_mm),
+        leads=in_air or handle.arrives,
         whole=whole,
     )
 

@@ -31,7 +31,7 @@ MIN_SAMPLES = 6
 ONE_SPEED, ONE_DEPTH = 1.2, 1.2
 #: A record begins in motion where the tool has gone half the way of this share of its travel, or of so many
 #: samples, in this share of half the time; under a force where that is so many sd of noise.
-BEGINS_SHARE, BEGINS_SAMPLES, EVEN_SHARE, FORCE_SD, TINY_MM = 0.02, 2, 0.75, 4.0, 1e-9
+BEGINS_SHARE, BEGINS_SAMPLES, EVEN_SHARE, FORCE_SD = 0.02, 2, 0.75, 4.0
 #: Held-out groups of a specimen with one log, and stretches a phase is cut into for them.
 FOLDS, STRETCHES = 6, 24
 
@@ -84,7 +84,7 @@ class FittedLog:
     #: (n,): depth of a tool that turned back and may have let go: ``data.depth_mm`` is then that of the
     #: surface that it leaves behind.
     tool_mm: FloatArray | None = None
-    #: Doubt about the contact of a record that begins with the tool moving under a force [mm]; else zero.
+    #: Depth of the first sample by its force, where the tool moves there [mm]; zero where it does not.
     arrives_mm: float = 0.0
 
     def without_samples(self) -> FittedLog:
@@ -190,7 +190,7 @@ def fitted_log(
 
 
 def _arrives(depth_mm: FloatArray, force_N: FloatArray, segmentation: Segmentation) -> float:
-    """Depth of the first sample, by its force where that is more; zero where the tool stood."""
+    """Depth that force and stiffness of the first samples are worth [mm]; zero where the tool stood."""
     deepest, noise_N = float(depth_mm.max()), segmentation.force_noise_N
     begun = int(np.argmax(depth_mm >= depth_mm[0] + BEGINS_SHARE * (deepest - depth_mm[0])))
     last = max(begun, BEGINS_SAMPLES)
@@ -199,9 +199,9 @@ def _arrives(depth_mm: FloatArray, force_N: FloatArray, segmentation: Segmentati
     if force_N[0] <= FORCE_SD * noise_N or travel <= 0.0 or not even:
         return 0.0
     if not any("sd_mm" in flag.values for flag in segmentation.flags if flag.code == "starts_in_contact"):
-        return TINY_MM  # a stated contact is known as it is stated
+        return float(depth_mm[0])  # by a contact that is stated
     slope = max(float(force_N[last] - force_N[0]), noise_N) / travel
-    return max(float(depth_mm[0]), min(float(force_N[0]) / slope, deepest))
+    return min(float(force_N[0]) / slope, deepest)
 
 
 def with_holds_cut(log: FittedLog, holds: Sequence[Phase], share: float) -> FittedLog:
