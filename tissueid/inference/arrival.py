@@ -1,7 +1,7 @@
 """Records that begin under a force while the tool moves: it came from air at that speed, or it stood.
 
-A preload that was held has relaxed; one that a trigger has seen in passing has not.  The samples tell, or
-draws reach from the one to the other: an approach that was slower lies between them.
+A preload that was held has relaxed; one that a trigger has seen in passing has not.  Where the samples do not
+tell, half of the draws are of either: an approach that was slower lies between them.
 """
 
 from __future__ import annotations
@@ -9,9 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.inference.engine import Identified, badness
 from tissueid.inference.logs import LogHandle
@@ -26,7 +23,7 @@ Identify = Callable[[Sequence[LogHandle], Identified | None], tuple[Identified, 
 def _cost(fit: tuple[Identified, list[LogHandle]]) -> float:
     """Criterion of a fit and its free parameters: Akaike's, halved."""
     found = fit[0]
-    return badness(found.system, found.optimum) + found.law.times + found.law.linear
+    return 0.5 * badness(found.system, found.optimum) + found.law.times + found.law.linear
 
 
 def arrived(
@@ -42,8 +39,7 @@ def arrived(
         other, at = identify(at, best)
     if _cost((other, at)) > _cost((best, on)) + DECIDED:
         return best, on
-    ways = [np.concatenate([one.optimum.point.log_times, one.optimum.point.linear]) for one in (other, best)]
-    return replace(best, apart=ways[0] - ways[1]), on
+    return replace(best, other=other), on
 
 
 def _in_motion(handle: LogHandle) -> LogHandle:
@@ -63,16 +59,10 @@ def _in_motion(handle: LogHandle) -> LogHandle:
 
 def start_flags(found: Identified, handles: Sequence[LogHandle]) -> tuple[Flag, ...]:
     """A start in motion, and one that might be."""
-    if found.apart is None and not any(one.arrives for one in handles):
+    if found.other is None and not any(one.arrives for one in handles):
         return ()
     count = sum(one.facts.arrives_mm > 0.0 for one in handles)
     words = f"{count} of {len(handles)} recordings begin while the tool moves in the tissue"
-    if found.apart is not None:
+    if found.other is not None:
         words += ", or behind a relaxed preload: intervals hold both"
-    return (Flag("begins_moving", words, {"recordings": count, "decided": found.apart is None}),)
-
-
-def along(apart: FloatArray, count: int, seed: int) -> FloatArray:
-    """Ways of draws towards the other start, (count, p): arcsine-distributed, so that both ends are held."""
-    share = np.random.default_rng([seed, 11]).beta(0.5, 0.5, count)
-    return np.asarray(share[:, None] * apart)
+    return (Flag("begins_moving", words, {"recordings": count, "decided": found.other is None}),)

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from tissueid.arrays import FloatArray
 from tissueid.inference.blocks import Blocks
 from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law, law_of
 from tissueid.inference.choice import (
@@ -97,8 +96,7 @@ class Identified:
     left_out: str  # what was predicted
     request: Request
     rivals: tuple[Rival, ...] = ()  # other laws beside the chosen one, the simplest of each kind
-    #: Way of ln times and linear parameters to another start that is as likely (:mod:`.arrival`).
-    apart: FloatArray | None = None
+    other: Identified | None = None  # the same order under a start that is as likely (:mod:`.arrival`)
 
     @property
     def quotable(self) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,9 @@ from threadpoolctl import threadpool_limits
 
 from tissueid.arrays import FloatArray
 from tissueid.documents.identification import SamplerReport
-from tissueid.inference.arrival import along
 from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.diagnostics import diagnose
-from tissueid.inference.engine import refit
+from tissueid.inference.engine import Identified, refit
 from tissueid.inference.estimates import MAX_WIDTH, without_exchanged
 from tissueid.inference.optimum import ON_WALL, nearest_inside, root_of
 from tissueid.inference.reported import (
@@ -39,6 +39,7 @@ from tissueid.inference.system import MACHINE, Point
 from tissueid.inference.target import NormalTarget, SpecimenTarget, Target
 from tissueid.inference.verdict import outside, posterior_flags, unidentified, withheld
 from tissueid.model.base import scaled_theta
+from tissueid.model.channels import ChannelModel
 from tissueid.priors import Priors
 from tissueid.result import Estimate, SpecimenFit
 from tissueid.uncertainty import ParameterUncertainty, Posterior
@@ -95,12 +96,11 @@ def _passive(law: ChannelLaw, linear: FloatArray, optimum: FloatArray) -> FloatA
     return out
 
 
-def _theta_of(target: SpecimenTarget, vectors: FloatArray, away: FloatArray | None) -> FloatArray:
-    """Theta of vectors, each of them passive; ``away``: added to their ln times and linear parameters."""
+def _theta_of(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
+    """Theta of vectors, every one of them passive."""
     law, shared = target.law, target.shared(vectors)
-    t, way = law.times, np.zeros(law.times + law.linear) if away is None else away
-    linear = _passive(law, shared[:, t + len(MACHINE) :] + way[..., t:], target.optimum.point.linear)
-    return law.theta(shared[:, :t] + way[..., :t], linear)
+    linear = _passive(law, shared[:, law.times + len(MACHINE) :], target.optimum.point.linear)
+    return law.theta(shared[:, : law.times], linear)
 
 
 def _at_mean_machine(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
@@ -119,17 +119,14 @@ def _at_mean_machine(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
     return out
 
 
-def _draws(
-    target: SpecimenTarget, sampled: Sampled, priors: Priors, seed: int, apart: FloatArray | None
-) -> Draws:
+def _draws(target: SpecimenTarget, sampled: Sampled, priors: Priors, seed: int) -> Draws:
     """Draws as vectors and as tissues."""
     z, central = sampled.chain.reshape(-1, sampled.chain.shape[2]), sampled.at_mean_machine
     vectors = target.vectors(z)
     inner = _at_mean_machine(target, vectors) if central is None else target.vectors(central)
     inner = target.following(inner, z)
     gains = np.ones((len(vectors), 2))
-    away = None if apart is None else along(apart, len(vectors), seed)
-    total, statistical = _theta_of(target, vectors, away), _theta_of(target, inner, away)
+    total, statistical = _theta_of(target, vectors), _theta_of(target, inner)
     if target.open:
         rng, known = np.random.default_rng([seed, 5]), [priors.calibration[name] for name in GAINS]
         for k, one in enumerate(known):
@@ -139,8 +136,17 @@ def _draws(
     return Draws(vectors, total, statistical, gains)
 
 
+def _of_both(draws: Draws, other: Draws, model: ChannelModel, seed: int) -> Draws:
+    """Draws half of which are of another start that is as likely, as far as those are passive."""
+    taken = np.random.default_rng([seed, 11]).random(len(draws.total)) < 0.5
+    taken &= model.passive(other.total) & model.passive(other.statistical)
+    total, statistical = draws.total.copy(), draws.statistical.copy()
+    total[taken], statistical[taken] = other.total[taken], other.statistical[taken]
+    return replace(draws, total=total, statistical=statistical)
+
+
 def _sampled(
-    fitted: FittedSpecimen,
+    identified: Identified,
     options: PosteriorOptions,
     machine: bool,
     checkpoint: Path | None,
@@ -148,7 +154,7 @@ def _sampled(
     tick: Callable[[str], None],
 ) -> tuple[SpecimenTarget, Sampled]:
     """The target of a fit and its chain."""
-    target = SpecimenTarget(fitted.identified, machine=machine)
+    target = SpecimenTarget(identified, machine=machine)
 
     def walked(density: Target) -> Sampled:
         return sample(
@@ -168,7 +174,7 @@ def _sampled(
         central = density.at_mean_machine(drawn, inside)
         return replace(found, chain=inside.reshape(found.chain.shape), at_mean_machine=central)
 
-    if fitted.identified.discrepant:
+    if identified.discrepant:
         return target, bounded(NormalTarget(target, sandwich_covariance(target)[0]))
     try:
         return target, walked(target)
@@ -198,9 +204,13 @@ def with_posterior(
     if options.sampler == "none" or fitted.identified.law.branches == 0 or not fitted.identified.quotable:
         return fitted.fit
     with threadpool_limits(limits=1, user_api="blas"):
-        target, sampled = _sampled(fitted, options, instrument, checkpoint, key, tick)
+        walked = partial(_sampled, options=options, machine=instrument, checkpoint=checkpoint, tick=tick)
+        target, sampled = walked(fitted.identified, key=key)
         tick("the tissue's centre")
-        draws = _draws(target, sampled, priors, options.seed, fitted.identified.apart)
+        draws = _draws(target, sampled, priors, options.seed)
+        if fitted.identified.other is not None:
+            also = _draws(*walked(fitted.identified.other, key=f"{key} other"), priors, options.seed)
+            draws = _of_both(draws, also, fitted.tissue.model, options.seed)
         centred = _centred(fitted, target, draws)
         return _assembled(centred, target, sampled, draws, instrument=instrument)
 
