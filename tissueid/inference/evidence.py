@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from operator import itemgetter
 
 import numpy as np
@@ -126,6 +127,13 @@ def _likelihood(
     return -0.5 * (freedom * math.log(variance) + log_det + square / variance), variance
 
 
+@lru_cache(maxsize=1)
+def _likeliest(stretches: tuple[_Quiet, ...], step_s: float, least: float) -> tuple[float, float]:
+    """Restricted ln L and variance of the likeliest memory, whatever a fit needs: each of them asks."""
+    memories = [Memory(time, share) for time in TIMES * step_s for share in SHARES]
+    return max((_likelihood(stretches, one, least) for one in memories), key=_LIKELIEST)
+
+
 def _expected_difference(noise: Noise, step_s: float) -> float:
     """Ratio of what :func:`~tissueid.signal_noise.white_noise_sd` shows of such noise to its sigma."""
     phi = noise.memory.phi(step_s)
@@ -155,8 +163,7 @@ def verdict_on_noise(
     least = max(digits**2 / 12.0, 1e-24)
     at_fit, _ = _likelihood(stretches, noise.memory, least, noise.sigma_N**2)
     same = _likelihood(stretches, noise.memory, least)
-    others = [Memory(time, share) for time in TIMES * step_s for share in SHARES]
-    best, quietest = max([same, *(_likelihood(stretches, one, least) for one in others)], key=_LIKELIEST)
+    best, quietest = max(same, _likeliest(tuple(stretches), step_s, least), key=_LIKELIEST)
     p_value = float(stats.chi2.sf(2.0 * (best - at_fit), FREE))
     excess = noise.sigma_N / math.sqrt(min(same[1], quietest))
     refuted |= p_value < LEVEL and excess > EXCESS
