@@ -26,7 +26,7 @@ from tissueid.store import outputs as outputs_module
 from tissueid.store.bundle import load_bundle
 from tissueid.store.files import REPORT, bundle_names, replacing, safe_name, write_file
 from tissueid.store.outputs import OutputSet, complete_refresh, current_run
-from tissueid.store.results import output_problems, read_results, validate_outputs
+from tissueid.store.results import load_identification, output_problems, read_results, validate_outputs
 
 WRITER = Path(__file__).with_name("set_writer.py")
 ALWAYS = ("identification.json", "curves.h5", "report.html")
@@ -62,6 +62,14 @@ def test_the_same_run_gives_the_same_bytes(tmp_path):
     assert len(public(tmp_path / "a")) == 5
     for path in (tmp_path / "a").glob("[!.]*"):
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
+
+
+def test_a_document_of_another_version_is_refused_with_its_place_and_a_way_out(tmp_path):
+    write(tmp_path, "old")
+    path = tmp_path / "identification.json"
+    path.write_text(path.read_text().replace('"selection": ', '"model_comparison": [], "selection": ', 1))
+    with pytest.raises(BundleError, match=r"/specimens/0: .*'model_comparison'.*; run `tissueid fit` again$"):
+        load_identification(path)
 
 
 def test_names_of_the_old_set_disappear_and_files_of_others_stay(tmp_path):
