@@ -20,9 +20,8 @@ DECIDED = 3.0
 Identify = Callable[[Sequence[LogHandle], Identified | None], tuple[Identified, list[LogHandle]]]
 
 
-def _cost(fit: tuple[Identified, list[LogHandle]]) -> float:
+def _cost(found: Identified) -> float:
     """Criterion of a fit and its free parameters: Akaike's, halved."""
-    found = fit[0]
     return 0.5 * badness(found.system, found.optimum) + found.law.times + found.law.linear
 
 
@@ -34,10 +33,11 @@ def arrived(
         return found, handles
     tick("a start in motion")
     moving = [_in_motion(one) if one.facts.arrives_mm > 0.0 else one for one in handles]
-    (best, on), (other, at) = sorted([(found, handles), identify(moving, None)], key=_cost)
+    starts = (found, handles), identify(moving, None)
+    (best, on), (other, at) = sorted(starts, key=lambda start: _cost(start[0]))
     if (best.law.branches, best.law.degree) != (other.law.branches, other.law.degree):
-        other, at = identify(at, best)
-    if _cost((other, at)) > _cost((best, on)) + DECIDED:
+        other, _ = identify(at, best)
+    if _cost(other) > _cost(best) + DECIDED:
         return best, on
     return replace(best, other=other), on
 

@@ -25,7 +25,7 @@ from tissueid.store.files import CURVES, IDENTIFICATION, ONLY_BUNDLE, POSTERIORS
 from tissueid.store.merged import LISTED, SPECIMENS, load_specimen, read_listed
 from tissueid.store.outputs import CommittedRun, complete_refresh, current_run
 from tissueid.store.posteriors import StoredPosterior, load_posteriors
-from tissueid.store.schema import first_problem
+from tissueid.store.schema import check
 
 #: Place of a twin in an output folder.
 TWIN = Path("twin") / "twin.json"
@@ -158,9 +158,7 @@ def _checked(path: Path, kind: str = "identification", way_out: str = _WAY_OUT) 
         document: dict[str, Any] = json.loads(path.read_bytes())
     except (OSError, ValueError) as error:
         raise BundleError(f"{path}: cannot be read as JSON ({error}); {way_out}") from error
-    if (problem := first_problem(document, kind)) is not None:
-        # a file of another version as well
-        raise BundleError(f"{path}: not a valid {kind} document at {problem}; {way_out}")
+    check(document, kind, where=str(path), way_out=way_out)
     return document
 
 

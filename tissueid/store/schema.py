@@ -91,13 +91,14 @@ def first_problem(document: Any, name: str) -> SchemaProblem | None:
     return SchemaProblem(_pointer(tuple(error.absolute_path)), error.message[:_LONGEST_MESSAGE] + cut)
 
 
-def check(document: Any, name: str, *, where: str = "") -> None:
+def check(document: Any, name: str, *, where: str = "", way_out: str = "") -> None:
     """Refuse a document that breaks its schema.
 
-    ``where``: file or stage the document came from, for the message.  Raises BundleError: naming the JSON
-    pointer of the first problem.
+    ``where``: file or stage the document came from, for the message; ``way_out``: its end.  Raises
+    BundleError: naming the JSON pointer of the first problem.
     """
     problem = first_problem(document, name)
     if problem is not None:
         prefix = f"{where}: " if where else ""
-        raise BundleError(f"{prefix}not a valid {name} document at {problem}")
+        suffix = f"; {way_out}" if way_out else ""
+        raise BundleError(f"{prefix}not a valid {name} document at {problem}{suffix}")
