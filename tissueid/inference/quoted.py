@@ -21,9 +21,9 @@ from tissueid.documents.quantities import Assumptions, Conditions, Quantity, Quo
 from tissueid.flags import Flag
 from tissueid.inference.choice import Rival
 from tissueid.inference.estimates import MAX_WIDTH, TissueEstimate, width_of
-from tissueid.inference.holds import HoldNumbers
 from tissueid.measured import TIMES_S
 from tissueid.measured.geometry import Geometry
+from tissueid.measured.spectrum import HoldNumbers
 from tissueid.model import functionals
 from tissueid.model.channels import ChannelModel
 from tissueid.model.moduli import FORMULAS, Contact, formulas_for, poroelastic_band

@@ -18,7 +18,6 @@ from tissueid.documents.identification import NoiseFit, Relaxation
 from tissueid.documents.measured import Measured
 from tissueid.documents.quantities import Cycle, Measure
 from tissueid.inference.estimates import REFERENCE_DEPTH, TissueEstimate
-from tissueid.inference.holds import HoldNumbers, hold_numbers
 from tissueid.inference.logs import LogHandle
 from tissueid.inference.residual_blocks import HOLD_BLOCKS_PER_DECADE, ResidualBlocks, residual_blocks
 from tissueid.inference.trials import Adjustment, ResidualTotals, over_force, summarise_trial
@@ -27,6 +26,7 @@ from tissueid.measured import measure
 from tissueid.measured.cycles import closed_area, cycle_rows
 from tissueid.measured.geometry import TipOf
 from tissueid.measured.relaxation import relaxation_rows
+from tissueid.measured.spectrum import HoldNumbers, hold_numbers
 from tissueid.model.channels import ChannelModel
 from tissueid.own_process import threads
 from tissueid.result import Nrmsd, ResidualSummary, TrialFit

@@ -307,3 +307,8 @@ def poroelastic_band(contact_mm: float) -> tuple[float, float]:
     """Times in which fluid drains from under a contact: a^2 / D [s] (doi 10.1063/1.3370354)."""
     slow, fast = DIFFUSIVITY_MM2_S
     return contact_mm**2 / fast, contact_mm**2 / slow
+
+
+def drained_share(time: FloatArray) -> FloatArray:
+    """Share of the pressure left under a sphere, of time over a^2 / D (doi 10.1063/1.3370354)."""
+    return np.asarray(0.491 * np.exp(-0.908 * np.sqrt(time)) + 0.509 * np.exp(-1.679 * time))

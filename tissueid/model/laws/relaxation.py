@@ -11,6 +11,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
 from tissueid.model.law import About, Shape
+from tissueid.model.moduli import drained_share
 
 _about = partial(About, kind="relaxation")
 #: Logarithms of rates times tau to the power alpha that a fractional spectrum sums, and their number.
@@ -99,8 +100,7 @@ class Poroelastic:
 
     def value(self, time_s: FloatArray, tau_s: Any) -> FloatArray:
         """The function of drainage."""
-        share = time_s / tau_s
-        return np.asarray(0.491 * np.exp(-0.908 * np.sqrt(share)) + 0.509 * np.exp(-1.679 * share))
+        return drained_share(time_s / tau_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from scipy.optimize import minimize_scalar, nnls
 
 from tissueid.arrays import FloatArray
 from tissueid.documents.quantities import Spectrum
+from tissueid.model.moduli import drained_share
 from tissueid.trial import Segmentation, Trial, contact_frame
 
 MIN_SAMPLES = 12
@@ -35,11 +36,6 @@ class HoldNumbers:
     speed_mm_s: float = 0.0  # of the ramp before the longest hold
     depth_mm: float = 0.0
     drainage_s: float = 0.0  # time a^2 / D of the drainage nearest to the longest hold; 0 without one
-
-
-def drained_share(time: FloatArray) -> FloatArray:
-    """Share of the pressure left under a sphere, of time over a^2 / D (doi 10.1063/1.3370354)."""
-    return np.asarray(0.491 * np.exp(-0.908 * np.sqrt(time)) + 0.509 * np.exp(-1.679 * time))
 
 
 def drainage_time(time_s: FloatArray, force_N: FloatArray, ramp_s: float) -> float:
