@@ -368,11 +368,9 @@ _NOTE = {
 # fmt: on
 
 #: Gravity -> its flags; in each, and over all, those that do more harm come first.
-HARM: Mapping[str, Mapping[str, FlagKind]] = MappingProxyType(
-    {"serious": _SERIOUS, "caution": _CAUTION, "note": _NOTE}
-)
+HARM: Mapping[str, Mapping[str, FlagKind]] = {"serious": _SERIOUS, "caution": _CAUTION, "note": _NOTE}
 #: Code -> its kind, that of most harm first.
-FLAGS: Mapping[str, FlagKind] = MappingProxyType({**_SERIOUS, **_CAUTION, **_NOTE})
+FLAGS: Mapping[str, FlagKind] = {**_SERIOUS, **_CAUTION, **_NOTE}
 _RANK = {code: rank for rank, code in enumerate(FLAGS)}
 _LEVEL = {code: level for level, kinds in HARM.items() for code in kinds}
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from tissueid.decided import arithmetic_refusal
 from tissueid.documents import members, plain
-from tissueid.documents.inspect import Contact, Corner, Event
+from tissueid.documents.inspect import Contact, Corner, Event, Phase, Point
 from tissueid.documents.measured import Measured, MeasuredPush
 from tissueid.flags import Flag
 from tissueid.manifest import Study
@@ -22,7 +22,8 @@ from tissueid.measured.geometry import DEFAULT_POISSON, TipOf, stated_geometry
 from tissueid.measured.verdict import verdict_of
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions, segment
-from tissueid.trial import Phase, Segmentation, Trial
+from tissueid.trial import Phase as Stretch
+from tissueid.trial import Segmentation, Trial
 
 #: What is told of a source.
 _READ = ("recipe", "recipe_reason", "recipe_confidence", "encoding", "delimiter", "decimal")
@@ -85,19 +86,10 @@ def describe_segmented(
 
 
 def _point(trial: Trial, index: int) -> dict[str, float]:
-    return {
-        "time_s": float(trial.time_s[index]),
-        "displacement_mm": float(trial.displacement_mm[index]),
-        "force_N": float(trial.force_N[index]),
-    }
+    return {name: float(channel[index]) for name, channel in members(trial, Point).items()}
 
 
-def _phase(trial: Trial, phase: Phase) -> dict[str, Any]:
-    return {
-        "kind": phase.kind,
-        "start_s": phase.start_s,
-        "end_s": phase.end_s,
-        "speed_mm_s": phase.speed_mm_s,
-        "braking_s": phase.braking_s,
-        "peak_s": None if phase.peak is None else float(trial.time_s[phase.peak]),
-    }
+def _phase(trial: Trial, phase: Stretch) -> dict[str, Any]:
+    peak_s = None if phase.peak is None else float(trial.time_s[phase.peak])
+    own = {name: getattr(phase, name) for name in Phase.__struct_fields__ if name != "peak_s"}
+    return {**own, "peak_s": peak_s}

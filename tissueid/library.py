@@ -155,17 +155,14 @@ def fit(
         raise found.left_out[0].as_error()
     if any(one.code == "mixed_axes" for one in found.left_out):
         refuse("recordings of lengths and of strains can't be fitted together; fit each kind by itself")
-    own = tuple(one for one in given if not _refused(one, found.left_out))
+    left_out = {(one.path, one.sheet) for one in found.left_out}
+    own = tuple(one for one in given if (one.source.path, one.source.sheet) not in left_out)
     setting = _Setting(options, cut, priors or Priors(), tuple(found.inputs), not found.axes[name].normalised)
     fitted = fit_with_state(
         name, found.groups[name], options=options, priors=setting.priors, machine=setting.machine
     )
     result = replace(fitted.fit, axes=found.axes[name])
     return Fit(own, tuple(found.left_out), setting, replace(fitted, fit=result))
-
-
-def _refused(trial: Trial, left_out: Iterable[Refusal]) -> bool:
-    return any((one.path, one.sheet) == (trial.source.path, trial.source.sheet) for one in left_out)
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,15 +52,13 @@ class CalibrationPrior:
 #: standard deviations, doubled, because an unstated class may be worse. Skew: two channels of one machine
 #: are apart by single milliseconds. Filter: load channels of test machines have corner frequencies from
 #: some 15 Hz up. Compliance: frame, load cell and fixture of small machines have 200 to 10,000 N/mm.
-CALIBRATION_DEFAULTS: Mapping[str, CalibrationPrior] = MappingProxyType(
-    {
-        "force_gain": CalibrationPrior(mean=1.0, sd=0.01),
-        "displacement_gain": CalibrationPrior(mean=1.0, sd=0.01),
-        "skew_s": CalibrationPrior(mean=0.0, sd=0.002),
-        "force_filter_s": CalibrationPrior(mean=0.0, sd=0.005, lower=0.0),
-        "frame_compliance_mm_per_N": CalibrationPrior(mean=0.0, sd=0.004, lower=0.0),
-    }
-)
+CALIBRATION_DEFAULTS: Mapping[str, CalibrationPrior] = {
+    "force_gain": CalibrationPrior(mean=1.0, sd=0.01),
+    "displacement_gain": CalibrationPrior(mean=1.0, sd=0.01),
+    "skew_s": CalibrationPrior(mean=0.0, sd=0.002),
+    "force_filter_s": CalibrationPrior(mean=0.0, sd=0.005, lower=0.0),
+    "frame_compliance_mm_per_N": CalibrationPrior(mean=0.0, sd=0.004, lower=0.0),
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,9 +46,7 @@ _OF_ESTIMATE = ("name", "symbol", "unit", "value", "stderr", "identified")
 _NOT_SAMPLED = dict.fromkeys(UNCERTAINTY)
 
 #: What a specimen says of a posterior it does not have.
-_NO_POSTERIOR: Mapping[str, Any] = MappingProxyType(
-    {"sampler": None, "noise": None, "priors": [], "budget": [], "misfit": None}
-)
+_NO_POSTERIOR: dict[str, Any] = {"sampler": None, "noise": None, "priors": [], "budget": [], "misfit": None}
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,10 +270,7 @@ class SpecimenFit(Shown):
 
     def parameter(self, name: str) -> Estimate:
         """The reported parameter of that name (``KeyError`` where there is none)."""
-        for estimate in self.parameters:
-            if estimate.name == name:
-                return estimate
-        raise KeyError(name)
+        return {estimate.name: estimate for estimate in self.parameters}[name]
 
     def as_json(self) -> dict[str, Any]:
         """The ``specimens`` object of the schema."""

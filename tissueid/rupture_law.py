@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 from tissueid.documents import plain
 
 #: Unit of a threshold, by criterion.
-THRESHOLD_UNITS: Mapping[str, str] = MappingProxyType(
-    {"work": "N mm", "weighted-force": "N", "stored-energy": "N mm", "depth": "mm"}
-)
+THRESHOLD_UNITS: Mapping[str, str] = {
+    "work": "N mm",
+    "weighted-force": "N",
+    "stored-energy": "N mm",
+    "depth": "mm",
+}
 #: Work done on the tissue; F_s + w F_d; energy stored in springs; depth.
 CRITERIA = tuple(THRESHOLD_UNITS)
 #: w of the weighted force: the dynamic force counts half as much again (a reading).
@@ -40,11 +42,10 @@ class RuptureLaw:
         if self.criterion not in CRITERIA:
             raise ValueError(f"no criterion of rupture {self.criterion!r}; there are {', '.join(CRITERIA)}")
         if not (self.threshold > 0.0 and self.weight >= 0.0 and 0.0 <= self.residual <= 1.0):
-            msg = (
+            raise ValueError(
                 "a threshold must be above 0, a weight not below 0 and a residual share within 0 to 1, got "
                 f"{self.threshold}, {self.weight} and {self.residual}"
             )
-            raise ValueError(msg)
 
     @property
     def unit(self) -> str:

@@ -36,10 +36,9 @@ TRACK_POINTS = 300
 def measured(head: Mapping[str, Any], records: NDArray[Any], *, cone_entry_mm: float = CONE_ENTRY_MM) -> Way:
     """Measures of a session's log; ValueError where it was not guided, or there is no attempt in it."""
     if head["environment"] != "guidance":
-        msg = (
+        raise ValueError(
             f"the session was not guided (it was {head['environment']}): there is no plan to compare it with"
         )
-        raise ValueError(msg)
     felt, place, drill_mm = _felt(head, records)
     time = felt["time_s"]
     first, last, complete = _ends(place[:, 2], cone_entry_mm, drill_mm)
@@ -104,11 +103,10 @@ def _ends(height: FloatArray, cone_entry_mm: float, drill_mm: float) -> tuple[in
     last = int(through[0]) if through.size else int(np.argmin(height)) if height.size else 0
     above = np.flatnonzero(height[:last] > cone_entry_mm)
     if not above.size or not height[last] < cone_entry_mm:
-        msg = (
+        raise ValueError(
             f"the tip never came from {cone_entry_mm:g} mm above the entry point toward the bone: there is "
             "no attempt in this session"
         )
-        raise ValueError(msg)
     return int(above[-1]) + 1, last, bool(through.size)
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from functools import cache
-from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 #: What can be converted: the three channels of a recording, the rate of a protocol, and the channels of a
@@ -18,34 +17,32 @@ from typing import Any, Literal, get_args
 Quantity = Literal["time", "displacement", "force", "speed", "strain", "stress"]
 
 #: The unit used inside, by quantity.
-INTERNAL_UNITS: Mapping[Quantity, str] = MappingProxyType(
-    {"time": "s", "displacement": "mm", "force": "N", "speed": "mm/s", "strain": "mm/mm", "stress": "MPa"}
-)
+INTERNAL_UNITS: Mapping[Quantity, str] = {
+    "time": "s", "displacement": "mm", "force": "N", "speed": "mm/s", "strain": "mm/mm", "stress": "MPa",
+}  # fmt: skip
 
 #: Spellings seen in exports that pint does not know, or takes for something else.
-_SPELLINGS: Mapping[str, str] = MappingProxyType(
-    {
-        "S": "s",
-        "g": "force_gram",
-        "秒": "s",
-        "分": "min",
-        "毫米": "mm",
-        "微米": "um",
-        "牛": "N",
-        "牛顿": "N",
-        "千牛": "kN",
-        "毫牛": "mN",
-        "초": "s",
-        "с": "s",  # Cyrillic, as the next five
-        "сек": "s",
-        "мин": "min",
-        "мм": "mm",
-        "Н": "N",
-        "кН": "kN",
-        "cm³": "cm**3",
-        "%": "percent",
-    }
-)
+_SPELLINGS: Mapping[str, str] = {
+    "S": "s",
+    "g": "force_gram",
+    "秒": "s",
+    "分": "min",
+    "毫米": "mm",
+    "微米": "um",
+    "牛": "N",
+    "牛顿": "N",
+    "千牛": "kN",
+    "毫牛": "mN",
+    "초": "s",
+    "с": "s",  # Cyrillic, as the next five
+    "сек": "s",
+    "мин": "min",
+    "мм": "mm",
+    "Н": "N",
+    "кН": "kN",
+    "cm³": "cm**3",
+    "%": "percent",
+}
 #: Words that mean one unit however they are capitalised; ``MN``, ``Ms`` and ``G`` may mean two.
 #: Masses, where a force is printed, are their weight under standard gravity.
 _WORDS: Mapping[str, str] = {
@@ -69,20 +66,18 @@ _WORDS: Mapping[str, str] = {
 }
 _FOLDED = {word: unit for unit, words in _WORDS.items() for word in words.split()}
 #: What machines print most: what it measures, and pint's factor.
-KNOWN_UNITS: Mapping[str, tuple[Quantity, float]] = MappingProxyType(
-    {
-        "sec": ("time", 1.0),
-        "ms": ("time", 0.001),
-        "min": ("time", 60.0),
-        "um": ("displacement", 0.001),
-        "µm": ("displacement", 0.001),
-        "m": ("displacement", 1000.0),
-        "kN": ("force", 1000.0),
-        "mN": ("force", 0.001),
-        "mm/min": ("speed", 1.0 / 60.0),
-        "mm/sec": ("speed", 1.0),
-    }
-)
+KNOWN_UNITS: Mapping[str, tuple[Quantity, float]] = {
+    "sec": ("time", 1.0),
+    "ms": ("time", 0.001),
+    "min": ("time", 60.0),
+    "um": ("displacement", 0.001),
+    "µm": ("displacement", 0.001),
+    "m": ("displacement", 1000.0),
+    "kN": ("force", 1000.0),
+    "mN": ("force", 0.001),
+    "mm/min": ("speed", 1.0 / 60.0),
+    "mm/sec": ("speed", 1.0),
+}
 #: Words over columns that are no unit, though they are shaped like one.
 KNOWN_WORDS = frozenset(
     {"Time", "Extension", "Load", "Displacement", "Force", "Position", "Depth", "Strain", "Stress"}

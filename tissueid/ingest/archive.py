@@ -58,8 +58,7 @@ def _read(file: InputFile, match: Callable[[InputFile], Match]) -> Iterator[Tabl
     try:
         archive = zipfile.ZipFile(io.BytesIO(file.data))
     except BROKEN_ARCHIVE as error:
-        message = f"the archive can't be opened ({str(error)[:120]}); pack it again"
-        place.refuse("unreadable_archive", message)
+        place.refuse("unreadable_archive", f"the archive can't be opened ({str(error)[:120]}); pack it again")
     with archive:
         members = recordings_in(archive)
         if len(members) > MOST_MEMBERS:

@@ -264,7 +264,7 @@ def jump(time_s: FloatArray, displacement_mm: FloatArray, force_N: FloatArray) -
 
 
 #: Rows from which a column of whole numbers is worth a remark.
-_WHOLE_FROM = 20
+WHOLE_FROM = 20
 #: Units below this share of mm and N are those in which instruments count: nm, µN.
 FINEST = 2e-6
 #: A lost mark makes a number ten times larger or more; half of that stands out from a steep curve.
@@ -287,7 +287,7 @@ def lost_marks(
             return _flag(channel, f"is padded with zeros, first {cell.strip()!r}")
     marked = [k < len(first_row) and bool(_MARKED.fullmatch(first_row[k])) for k in range(len(columns))]
     whole = [
-        column.size >= _WHOLE_FROM and not decimals.any() and not has_marks
+        column.size >= WHOLE_FROM and not decimals.any() and not has_marks
         for column, decimals, has_marks in zip(columns, fractional, marked, strict=True)
     ]
     all_whole = all(whole)
@@ -324,7 +324,7 @@ def _worth_a_remark(channel: Channel, column: FloatArray, factor: float, *, all_
 def _far_above_neighbours(column: FloatArray, decimals: NDArray[np.bool_]) -> int | None:
     """The first whole number several times larger than the nearest numbers with decimals around it."""
     count = int(np.count_nonzero(decimals))
-    if 2 * count < column.size or count < _WHOLE_FROM or count == column.size:
+    if 2 * count < column.size or count < WHOLE_FROM or count == column.size:
         return None
     fractional, whole = np.flatnonzero(decimals), np.flatnonzero(~decimals)
     after = np.searchsorted(fractional, whole)

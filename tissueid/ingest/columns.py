@@ -254,11 +254,9 @@ def has_channels(names: Sequence[str], units: Sequence[str], options: ReadOption
     )  # fmt: skip
 
 
-def channel_names(
-    names: Sequence[str], units: Sequence[str], channel: Channel, options: ReadOptions
-) -> list[str]:
-    """Names that may be a channel's, best first."""
-    return [column.name for _, column in _Head.of(names, units, options).candidates(channel)]
+def has_time(names: Sequence[str], units: Sequence[str], options: ReadOptions) -> bool:
+    """True where a column may be the time."""
+    return bool(_Head.of(names, units, options).candidates("time"))
 
 
 def channel_columns(names: Sequence[str], options: ReadOptions) -> dict[Channel, int]:

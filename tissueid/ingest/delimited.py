@@ -20,9 +20,9 @@ from tissueid.ingest.columns import (
     Channels,
     ColumnChoice,
     channel_columns,
-    channel_names,
     choose_columns,
     has_channels,
+    has_time,
     split_name,
 )
 from tissueid.ingest.header import header_entries, protocol_of, specimen_in
@@ -131,7 +131,7 @@ def _counted(
     first = split_line(text.decode(text.data[layout.offset :].split(b"\n", 1)[0]), layout.delimiter)
     cells = zip(layout.names, (*first, *[""] * layout.n_columns), strict=False)
     names = tuple(name if cell.strip() else "" for name, cell in cells)
-    if channel_names(names, layout.units, "time", options) or _rises(text, layout, options):
+    if has_time(names, layout.units, options) or _rises(text, layout, options):
         return layout, options
     return replace(layout, names=names), replace(
         options, columns={**options.columns, "time": f"{stated!r} s"}

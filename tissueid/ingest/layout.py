@@ -263,11 +263,6 @@ def split_line(line: str, delimiter: str) -> Row:
         return tuple(line.split(delimiter))
 
 
-def _unmarked(row: Row) -> Row:
-    """A line of a header without the mark that makes it a comment."""
-    return (_COMMENT_MARK.sub("", row[0]), *row[1:])
-
-
 @lru_cache(maxsize=1024)
 def _numeric_share(row: Row) -> float:
     """The share of a row's filled cells that look numeric, 0 where fewer than two do."""
@@ -421,7 +416,8 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     for count in (_HEAD_LINES, len(raw)):  # of few headers the table begins so far down
         lines = [text.decode(line) for line in raw[:count]]
         delimiter = options.delimiter or _find_delimiter(lines)
-        rows = [_unmarked(split_line(line, delimiter)) for line in lines]
+        cells = (split_line(line, delimiter) for line in lines)
+        rows = [(_COMMENT_MARK.sub("", first), *others) for first, *others in cells]
         found = anchor(rows, options)
         if found is not None or count >= len(raw):
             break

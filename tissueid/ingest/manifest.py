@@ -143,10 +143,8 @@ def lines_of_toml(text: str) -> dict[TomlPath, int]:
 
 def line_of(lines: dict[TomlPath, int], path: TomlPath) -> int | None:
     """The line of a path, or of the nearest table around it."""
-    for end in range(len(path), 0, -1):
-        if path[:end] in lines:
-            return lines[path[:end]]
-    return None
+    around = (path[:end] for end in range(len(path), 0, -1))
+    return next((lines[one] for one in around if one in lines), None)
 
 
 #: Name of the manifest in the folder of its recordings.

@@ -14,9 +14,10 @@ from tissueid.trial import Axes
 from tissueid.units import Quantity, factor_to
 
 #: What a channel may be declared to hold, the usual first.
-AXES: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"displacement": ("displacement", "strain"), "force": ("force", "stress")}
-)
+AXES: Mapping[str, tuple[str, ...]] = {
+    "displacement": ("displacement", "strain"),
+    "force": ("force", "stress"),
+}
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray
 from tissueid.digits import clock_start
 from tissueid.flags import Flag
-from tissueid.ingest.broken_rows import jump
+from tissueid.ingest.broken_rows import WHOLE_FROM, jump
 from tissueid.ingest.header import stated
-from tissueid.signal_noise import quantum
+from tissueid.signal_noise import NORMAL_SD_OVER_MEDIAN, quantum
 
 _FEW_LEVELS = 64
 _SAMPLES_PER_LEVEL = 10
@@ -23,8 +23,6 @@ _CLIPPED_RUN = 5
 _CLIPPED_LONGER = 4
 #: Share of the peak above which a force is at work.
 _AT_WORK = 0.5
-#: Rows from which whole numbers alone are worth a remark.
-_WHOLE_FROM = 20
 #: Steps over the test below which the resolution is said: a channel must be read to 1 % of its value to be
 #: calibrated at all (ISO 7500-1 and ISO 9513, class 2, resolution at the lower limit of a range).
 FEWEST_STEPS = 100
@@ -43,8 +41,8 @@ _GRID_TOLERANCE = 0.01
 def no_decimals(*channels: FloatArray) -> Flag | None:
     """Whole numbers in every row of every channel."""
     # the first rows rule most recordings out
-    parts = [values[:_WHOLE_FROM] for values in channels]
-    if channels[0].size < _WHOLE_FROM or any((values % 1.0).any() for values in (*parts, *channels)):
+    parts = [values[:WHOLE_FROM] for values in channels]
+    if channels[0].size < WHOLE_FROM or any((values % 1.0).any() for values in (*parts, *channels)):
         return None
     message = f"time, displacement and force are whole numbers in all {channels[0].size} rows"
     return Flag("no_decimals", message, {"count": int(channels[0].size)})
@@ -161,7 +159,6 @@ EVEN_SHARE, STANDING_SHARE = 0.02, 1e-3
 AT_MOST = 0.02
 #: Corners and changes of the sampling look like spikes at first sight; so many are judged in any recording.
 FEW_CANDIDATES = 40
-_NORMAL_SD_OVER_MEDIAN = 1.4826
 #: Standard deviation of a sample's distance from the mean of its neighbours, over that of the sample.
 _CHORD_SD = 1.5**0.5
 _SAMPLED = 20_000
@@ -199,7 +196,7 @@ def _alone(time_s: FloatArray, values: FloatArray, motion: FloatArray | None) ->
         return []
     off = values[1:-1] - 0.5 * (values[:-2] + values[2:])
     sampled = np.abs(off[:: max(1, off.size // _SAMPLED)])
-    noise = _NORMAL_SD_OVER_MEDIAN * float(np.median(sampled)) / _CHORD_SD
+    noise = NORMAL_SD_OVER_MEDIAN * float(np.median(sampled)) / _CHORD_SD
     np.abs(off, out=off)
     candidates = np.flatnonzero(off > max(FAR_SHARE * span, FAR_SD * noise)) + 1
     # a spike lifts its two neighbours' distances as well
@@ -234,7 +231,7 @@ def _distance(time_s: FloatArray, values: FloatArray, i: int, least: float) -> f
     y[k] = at(k - 1, k + 1)
     share = steps[:-1] / (steps[:-1] + steps[1:])
     rest = np.abs(y[1:-1] - (1.0 - share) * y[:-2] - share * y[2:])
-    noise = _NORMAL_SD_OVER_MEDIAN * float(np.median(np.delete(rest, k - 1))) / _CHORD_SD
+    noise = NORMAL_SD_OVER_MEDIAN * float(np.median(np.delete(rest, k - 1))) / _CHORD_SD
     quiet = float(rest.max()) <= SMOOTH_SHARE * abs(off) and abs(off) > FAR_SD * noise
     return off if quiet else None
 

@@ -12,7 +12,6 @@ from dataclasses import replace
 from functools import cache
 from itertools import chain
 from pathlib import Path, PurePosixPath
-from types import MappingProxyType
 
 import numpy as np
 
@@ -126,13 +125,10 @@ def match_recipe(file: InputFile) -> Match:
         return Match(known_recipe(file.options.recipe), 1.0, "the user asked for it")
     matches = [Match(recipe, *_detect(recipe, file)) for recipe in _recipes().values()]
     best = max(matches, key=lambda match: match.confidence)
-    if best.confidence > 0.0:
-        return best
-    if file.fault is not None:
-        raise file.fault
-    message = "no reader knows this file; give the raw data export of the test machine"
-    refusal = Place(file.path).refusal("not_an_export", message)
-    raise refusal
+    if best.confidence == 0.0:
+        # a table, a workbook and an archive each have a reader: what is left is no text, or has no table
+        file.laid_out()
+    return best
 
 
 def _detect(recipe: Recipe, file: InputFile) -> Detection:
@@ -149,26 +145,24 @@ def _detect(recipe: Recipe, file: InputFile) -> Detection:
 
 
 #: Key -> recipe, in the order in which equals win.
-RECIPES: Mapping[str, Recipe] = MappingProxyType(
-    {
-        recipe.key: recipe
-        for recipe in (
-            BLUEHILL_CSV,
-            TESTXPERT_TRA,
-            TESTXPERT_WORKBOOK,
-            MACH_1,
-            MTS_793,
-            SHIMADZU,
-            CHIARO,
-            JPK_FORCE,
-            JPK_TEXT,
-            SESSION_LOG,
-            WORKBOOK,
-            COLUMNS_TEXT,
-            archive_recipe(match_recipe),
-        )
-    }
-)
+RECIPES: Mapping[str, Recipe] = {
+    recipe.key: recipe
+    for recipe in (
+        BLUEHILL_CSV,
+        TESTXPERT_TRA,
+        TESTXPERT_WORKBOOK,
+        MACH_1,
+        MTS_793,
+        SHIMADZU,
+        CHIARO,
+        JPK_FORCE,
+        JPK_TEXT,
+        SESSION_LOG,
+        WORKBOOK,
+        COLUMNS_TEXT,
+        archive_recipe(match_recipe),
+    )
+}
 
 _MEANS = (
     r"(?:mean|averaged?|typical|median|representative)(?: (?:curve|specimen|sample|test|trace|values?))?"

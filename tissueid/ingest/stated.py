@@ -211,8 +211,7 @@ def priors_of(plain: TomlTable) -> Priors:
             raise PriorError(("relaxation_time_s", i + 1, "median"), message)
     phi = plain.get("phi")
     if phi is not None and not phi["low"] < phi["high"]:
-        message = f"low = {phi['low']:g} is not below high = {phi['high']:g}"
-        raise PriorError(("phi", "low"), message)
+        raise PriorError(("phi", "low"), f"low = {phi['low']:g} is not below high = {phi['high']:g}")
     sigma = plain.get("sigma_N")
     return Priors(
         linear={name: (one["mean"], one["sd"]) for name, one in plain.items() if "mean" in one},

@@ -259,7 +259,7 @@ def _read_columns(
         values = [row[index] if index < len(row) else "" for index in wanted]
         if moment is not None and isinstance(values[0], dt.datetime | dt.time | dt.timedelta):
             values[0] = _seconds_since(moment, values[0]) / choice.factors["time"]
-        if all(type(value) is float or type(value) is int for value in values):
+        if all(type(value) in (float, int) for value in values):
             kept.append((number, values))
         elif not any(_shown(value) for value in values):
             continue
@@ -307,19 +307,19 @@ def _seconds_since(moment: dt.datetime, value: dt.datetime | dt.time | dt.timede
 
 
 def _bad_cell(values: Sequence[Any], wanted: Sequence[int], number: int, place: Place) -> InputError:
-    for value, index in zip(values, wanted, strict=True):
-        if type(value) is float or type(value) is int:
-            continue
-        if _shown(value) == "":
-            return place.refusal(
-                "empty_cell", "the cell is empty; fill or remove the row", line=number, column=index + 1
-            )
-        message = (
-            f"{_shown(value)[:40]!r} is stored as text or date, not as a number; go back to the original"
-            " export, or save the sheet as CSV"
+    """The refusal of the first cell that is no number."""
+    cells = zip(map(_shown, values), values, wanted, strict=True)
+    shown, at = next((text, k + 1) for text, value, k in cells if type(value) not in (float, int))
+    code, message = "empty_cell", "the cell is empty; fill or remove the row"
+    if shown:
+        code, message = (
+            "text_in_numbers",
+            (
+                f"{shown[:40]!r} is stored as text or date, not as a number; go back to the original"
+                " export, or save the sheet as CSV"
+            ),
         )
-        return place.refusal("text_in_numbers", message, line=number, column=index + 1)
-    raise AssertionError  # called only where one value is no number
+    return place.refusal(code, message, line=number, column=at)
 
 
 TESTXPERT_WORKBOOK = Recipe(

@@ -139,11 +139,10 @@ class Bundle(Shown):
         """
         if dict(self.units) != UNITS:
             units = ", ".join(f"{key} in {unit}" for key, unit in self.units.items())
-            msg = (
+            raise BundleError(
                 f"{self.specimen}: the recordings were normalised ({units}), and a device renders mm and N; "
                 "fit recordings of displacement and force to feel this tissue"
             )
-            raise BundleError(msg)
 
     def parameter(self, name: str) -> Estimate:
         """Return the reported parameter of that name (``KeyError`` where there is none)."""

@@ -130,11 +130,10 @@ class Index(AbstractContextManager["Index"]):
             )
         elif version != INDEX_SCHEMA_VERSION:
             self._database.close()
-            msg = (
+            raise BundleError(
                 f"{self.path}: schema version {version}, this tissueid writes {INDEX_SCHEMA_VERSION}; run "
                 f"`tissueid migrate {self.path.parent}`"
             )
-            raise BundleError(msg)
         self._run = self._database.execute("SELECT MAX(id) FROM runs").fetchone()[0] or 0
 
     def _do(self, statement: str, *values: Any) -> sqlite3.Cursor:

@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import h5py
@@ -32,9 +31,9 @@ from tissueid.store.outputs import OutputSet, current_run, folder_lock
 Step = Callable[[dict[str, Any], dict[str, FloatArray]], tuple[dict[str, Any], dict[str, FloatArray]]]
 
 #: Version -> the step to the next one.  Version 1 is the first that was released.
-BUNDLE_STEPS: Mapping[int, Step] = MappingProxyType({})
+BUNDLE_STEPS: Mapping[int, Step] = {}
 #: Version -> SQL statements to the next one.
-INDEX_STEPS: Mapping[int, str] = MappingProxyType({})
+INDEX_STEPS: Mapping[int, str] = {}
 
 
 @dataclass(frozen=True, slots=True)

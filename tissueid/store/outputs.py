@@ -88,11 +88,10 @@ def folder_lock(folder: Path, *, wait_s: float = 0.0) -> Iterator[None]:
                 time.sleep(_POLL_S)
                 locked = _try_lock(stream)
         except OSError as error:
-            msg = (
+            raise BundleError(
                 f"{folder}: this file system can't lock files ({error.strerror}); "
                 "write to a local folder and copy the result"
-            )
-            raise BundleError(msg) from error
+            ) from error
         if not locked:
             try:
                 holder = json.loads(path.read_bytes())
@@ -209,11 +208,10 @@ def _refresh(out: Path) -> None:
             msg = f"{run.folder / name}: missing from its run; run `tissueid fit` again"
             raise BundleError(msg) from error
         except PermissionError as error:
-            msg = (
+            raise BundleError(
                 f"{out / name}: can't be replaced, another program holds it open; close it there and run "
                 f"`tissueid validate {out}`, which finishes what was begun (the run itself is safe)"
-            )
-            raise BundleError(msg) from error
+            ) from error
     write_file(run.folder / _REFRESHED, b"")
     _prune(out, keep=run.folder.name)
 

@@ -123,11 +123,10 @@ def read_session_log(source: Path | str | bytes, *, where: str | None = None) ->
         msg = f"{name}: cannot be read as a session log ({error}); it is damaged or another kind of file"
         raise BundleError(msg) from error
     if attributes.get("schema_version") != SESSION_SCHEMA_VERSION:
-        msg = (
+        raise BundleError(
             f"{name}: schema version {attributes.get('schema_version')}, this tissueid reads version "
             f"{SESSION_SCHEMA_VERSION}; use the tissueid that wrote it"
         )
-        raise BundleError(msg)
     digest = hashlib.sha256(_seal(text, records.dtype, records.size))
     digest.update(np.ascontiguousarray(records).tobytes())
     if attributes.get("content_sha256") != digest.hexdigest():
@@ -180,8 +179,8 @@ def _parsed_head(data: bytes, name: str) -> tuple[dict[str, Any], int, np.dtype[
     length = int.from_bytes(data[len(RAW_MAGIC) : begin], "little")
     try:
         if length > _LARGEST_HEAD or len(data) < begin + length:
-            msg = "it is cut, or no head"
-            raise ValueError(msg)  # noqa: TRY301 -- told like what numpy says of a wrong layout
+            # told like what numpy says of a wrong layout
+            raise ValueError("it is cut, or no head")  # noqa: TRY301
         head = _document(data[begin : begin + length], name)
         record = np.dtype([(field, kind, tuple(shape)) for field, kind, shape in head["record"]])
         _check_record(record)

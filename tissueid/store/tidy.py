@@ -12,7 +12,6 @@ import csv
 import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 from msgspec.structs import fields
@@ -45,13 +44,11 @@ _SAMPLED = ("sampler", "converged", "draws", "noise", "phi", "misfit")
 
 _TRIAL_COVARIATES = ("site", "protocol", "run", "rest_s", "listed", "overridden", "notes")
 #: Columns of ``study.specimens``; the two that a trial has as well are told apart.
-_SPECIMEN_COVARIATES: Mapping[str, str] = MappingProxyType(
-    {
-        field.name: f"specimen_{field.name}" if field.name in _TRIAL_COVARIATES else field.name
-        for field in fields(StatedSpecimen)
-        if field.name != "specimen"
-    }
-)
+_SPECIMEN_COVARIATES: Mapping[str, str] = {
+    field.name: f"specimen_{field.name}" if field.name in _TRIAL_COVARIATES else field.name
+    for field in fields(StatedSpecimen)
+    if field.name != "specimen"
+}
 _TRIAL_FIT = (
     *("n_samples", "speed_mm_s", "depth_mm", "gain", "contact_offset_mm", "time_ratio"),
     *("nrmsd", "nrmsd_mean", "rmse_N", "max_residual_fraction", "residual_acf1"),
@@ -108,9 +105,6 @@ def _cell(value: Any) -> str:
 def _codes(*parts: Iterable[Flag]) -> list[str]:
     """Codes of flags, each once, in their order."""
     return list(dict.fromkeys(flag.code for part in parts for flag in part))
-
-
-# --- specimens ---------------------------------------------------------------------------------------------
 
 
 def _specimen_columns(document: Identification) -> tuple[str, ...]:
@@ -184,9 +178,6 @@ def _specimen_covariates(document: Identification) -> dict[str, Row]:
     }
 
 
-# --- trials ------------------------------------------------------------------------------------------------
-
-
 _TRIAL_COLUMNS = (
     *("specimen", "path", "sheet", "status", "reason", *_TRIAL_COVARIATES),
     *(*_SPECIMEN_COVARIATES.values(), *_TRIAL_FIT, *_HOLD),
@@ -254,9 +245,6 @@ def _longest_hold(rows: Sequence[Relaxation]) -> Row:
     return found
 
 
-# --- loops and quoted numbers ------------------------------------------------------------------------------
-
-
 def _cycle_rows(document: Identification) -> Iterator[Row]:
     found: list[tuple[str | None, Cycle]]
     found = [(one.specimen, loop) for one in document.specimens for loop in one.cycles]
@@ -287,11 +275,9 @@ def _quantity_rows(document: Identification) -> Iterator[Row]:
 
 _LOOP_NUMBERS = tuple(column for name in _LOOP_MEASURES for column in (name, f"{name}_stderr"))
 #: Name -> its columns, of specimens found in the document, and its rows.
-TABLES: Mapping[str, tuple[tuple[str, ...], Callable[[Identification], Iterator[Row]]]] = MappingProxyType(
-    {
-        "specimens": ((), _specimen_rows),
-        "trials": (_TRIAL_COLUMNS, _trial_rows),
-        "cycles": (("specimen", "path", "sheet", *_LOOP_PLAIN, *_LOOP_NUMBERS), _cycle_rows),
-        "quantities": (("specimen", "kind", "name", "unit", *_CONDITIONS, *_QUOTED), _quantity_rows),
-    }
-)
+TABLES: Mapping[str, tuple[tuple[str, ...], Callable[[Identification], Iterator[Row]]]] = {
+    "specimens": ((), _specimen_rows),
+    "trials": (_TRIAL_COLUMNS, _trial_rows),
+    "cycles": (("specimen", "path", "sheet", *_LOOP_PLAIN, *_LOOP_NUMBERS), _cycle_rows),
+    "quantities": (("specimen", "kind", "name", "unit", *_CONDITIONS, *_QUOTED), _quantity_rows),
+}

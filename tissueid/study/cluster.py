@@ -148,11 +148,10 @@ class DaskWorkers(Futures):
             else:
                 return True
         self._close()
-        msg = (
+        raise BundleError(
             f"{self._address}: the Dask scheduler was lost and is not back; what was finished is kept: run "
             "the same command again when it is there"
         )
-        raise BundleError(msg)
 
 
 def _versions_there() -> dict[str, str]:

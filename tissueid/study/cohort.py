@@ -80,8 +80,7 @@ def _refuse_mixed(thawed: list[str], fresh: list[str]) -> None:
     if thawed and fresh:
         names = ", ".join(printable(one) for one in thawed[:MOST_NAMED])
         more = f" and {len(thawed) - MOST_NAMED} more" if len(thawed) > MOST_NAMED else ""
-        msg = (
+        raise NotIdentifiedError(
             f"no population: {names}{more} thawed among {len(fresh)} fresh; --mix-states pools them, "
             "tissueid cohort --group-by storage compares them"
         )
-        raise NotIdentifiedError(msg)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from tissueid.decided import as_decided
 from tissueid.documents import plain, typed
 from tissueid.documents.inspect import Trial as InspectedTrial
-from tissueid.documents.measured import Measured, MeasuredPush
+from tissueid.documents.measured import MeasuredPush
 from tissueid.errors import refuse
 from tissueid.ingest.manifest import MANIFEST
 from tissueid.inspection import describe_segmented, measured_of, segmented
@@ -62,7 +62,6 @@ class _Made:
 
     document: InspectedTrial
     plain: dict[str, Any]  # the same, as it is printed
-    measured: Measured
     drawn: InspectedRecording | None
 
 
@@ -99,7 +98,7 @@ class Inspection:
             return
         self.described.append(made.document)
         self.printed.append(made.plain)
-        push = made.measured.push
+        push = made.document.measured.push
         if made.document.excluded is None and push is not None:
             self._earlier.setdefault(made.document.specimen, []).append(push)
         if made.drawn is not None:
@@ -139,7 +138,7 @@ class Inspection:
         printed = plain(described)
         document = typed(printed, InspectedTrial)
         if not self._drawn:
-            return _Made(document, printed, measured, None)
+            return _Made(document, printed, None)
         from tissueid.report.inspect_page import inspected_recording
         from tissueid.study.corrections import standing
 
@@ -152,4 +151,4 @@ class Inspection:
             reader=reader_words(document),
             standing=standing(study, source.path, source.sheet),
         )
-        return _Made(document, printed, measured, drawn)
+        return _Made(document, printed, drawn)
