@@ -20,28 +20,25 @@ FEWEST_RUNS, CHANCE, LEAST_CHANGE = 4, 0.01, 0.02
 FIRST_CHANGE = 0.05
 
 
-def _spread(trials: Sequence[TrialFit], ratio: FloatArray) -> tuple[float, str, dict[str, float]] | None:
-    """Standard deviation of ln of a ratio, a log each, where it is large; both ends in words and numbers."""
-    spread = float(np.log(ratio).std(ddof=1)) if ratio.size > 1 and (ratio > 0.0).all() else 0.0
-    if spread <= MUCH_SPREAD:
-        return None
-    low, high = int(ratio.argmin()), int(ratio.argmax())
-    words = f"from {ratio[low]:.2f} ({_name(trials[low])}) to {ratio[high]:.2f} ({_name(trials[high])})"
-    return spread, words, {"lowest": float(ratio[low]), "highest": float(ratio[high])}
+#: Flag of what differs, its words, the ratio to the specimen's, and the name of its spread.
+_SPREADS = (
+    ("gain_spread", "stiffness", "gain", "sd_ln_gain"),
+    ("relaxation_spread", "relaxation time", "time_ratio", "sd_ln_time"),
+)
 
 
 def spread_flags(trials: Sequence[TrialFit]) -> list[Flag]:
     """``gain_spread`` and ``relaxation_spread`` where the logs of a specimen differ much."""
     out: list[Flag] = []
-    gains, times = np.array([(trial.gain, trial.time_ratio) for trial in trials]).T
-    if found := _spread(trials, gains):
-        sd, ends, values = found
-        message = f"stiffness differs by {100 * sd:.0f} % (sd) between logs, {ends}"
-        out.append(Flag("gain_spread", message, values | {"sd_ln_gain": sd}))
-    if found := _spread(trials, times):
-        sd, ends, values = found
-        message = f"relaxation time differs by {100 * sd:.0f} % (sd) between logs, {ends}"
-        out.append(Flag("relaxation_spread", message, values | {"sd_ln_time": sd}))
+    for code, what, name, key in _SPREADS:
+        ratio = np.array([getattr(trial, name) for trial in trials])
+        sd = float(np.log(ratio).std(ddof=1)) if ratio.size > 1 and (ratio > 0.0).all() else 0.0
+        if sd > MUCH_SPREAD:
+            low, high = int(ratio.argmin()), int(ratio.argmax())
+            ends = f"{ratio[low]:.2f} ({_name(trials[low])}) to {ratio[high]:.2f} ({_name(trials[high])})"
+            message = f"{what} differs by {100 * sd:.0f} % (sd) between logs, from {ends}"
+            values = {"lowest": float(ratio[low]), "highest": float(ratio[high]), key: sd}
+            out.append(Flag(code, message, values))
     return out
 
 

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from difflib import get_close_matches
 
 from tissueid.errors import UsageError
-from tissueid.flags import FLAGS, flag_level
+from tissueid.flags import FLAGS
 from tissueid.model.grammar import described
 from tissueid.quantity_words import QUANTITIES, quantity_name
 
@@ -38,7 +38,8 @@ EXIT_MEANINGS: Mapping[str, tuple[str, str]] = {
     "7": ("finished, but something was left out", "Each is named with its line."),
     "130": ("interrupted", "What was finished is kept; the same command goes on from there, or begins anew."),
 }
-_GRAVITY = {
+#: Gravity of a flag -> words.
+GRAVITY = {
     "ok": "harmless",
     "note": "states what was assumed or done",
     "caution": "look at it before you quote a number",
@@ -100,8 +101,3 @@ def explain(name: str) -> Explanation:
     near = get_close_matches(plain, known, n=3, cutoff=0.5)
     hint = f"did you mean {' or '.join(near)}?" if near else "`tissueid explain` lists what it knows"
     raise UsageError(f"{name!r} is no flag, parameter or exit code; {hint}")
-
-
-def gravity(code: str) -> str:
-    """Gravity of a flag, in words."""
-    return _GRAVITY[flag_level(code)]

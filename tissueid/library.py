@@ -88,14 +88,9 @@ def read(path: str | Path, options: ReadOptions | None = None) -> Trials:
     InputError
         Nothing could be read: the first refusal.
     """
-    found: list[Trial] = []
-    refused: list[InputError] = []
-    for file in find_inputs([path]):
-        for one in read_each(file, options):
-            if isinstance(one, InputError):
-                refused.append(one)
-            else:
-                found.append(one)
+    every = [one for file in find_inputs([path]) for one in read_each(file, options)]
+    refused = [one for one in every if isinstance(one, InputError)]
+    found = [one for one in every if isinstance(one, Trial)]
     if refused and not found:
         raise refused[0]
     return Trials(found, refused)

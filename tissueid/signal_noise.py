@@ -102,8 +102,7 @@ def running_median(values: FloatArray) -> FloatArray:
     half = MEDIAN_SAMPLES // 2
     padded = np.pad(values, half, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, MEDIAN_SAMPLES)
-    result: FloatArray = np.median(windows, axis=1)
-    return result
+    return np.asarray(np.median(windows, axis=1))
 
 
 #: A clock is coarser than the sampling where so many rows repeat the time of the row before.

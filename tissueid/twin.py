@@ -47,7 +47,7 @@ from tissueid.rendering.servo_tick import compiled_tick, servo_here
 from tissueid.rendering.session import Session
 from tissueid.rendering.session_plan import Script, SessionPlan, read_script
 from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
-from tissueid.result import SpecimenFit
+from tissueid.result import Estimate, SpecimenFit
 from tissueid.segment import SegmentOptions, segment
 from tissueid.store.bundle import Bundle
 from tissueid.trial import Source, Trial, contact_frame
@@ -420,14 +420,17 @@ def _refit(bundle: Bundle, program: Program, felt: Felt, path: Path) -> Specimen
     return found.specimens[0]
 
 
+def _widest(one: Estimate | None) -> tuple[float, float] | None:
+    """Interval with the machine, else the statistical one."""
+    sure = None if one is None else one.uncertainty
+    return None if sure is None else sure.ci95_total or sure.ci95
+
+
 def _rows(bundle: Bundle, fit: SpecimenFit) -> list[document.Row]:
     found, rows = {one.name: one for one in fit.parameters}, []
     for one in bundle.parameters:
         out = found.get(one.name)
-        inner = None if one.uncertainty is None else one.uncertainty.ci95_total or one.uncertainty.ci95
-        outer = None
-        if out is not None and out.uncertainty is not None:
-            outer = out.uncertainty.ci95_total or out.uncertainty.ci95
+        inner, outer = _widest(one), _widest(out)
         value = None if out is None else out.value
         if one.value is None:
             verdict: document.Verdict = "not identified"

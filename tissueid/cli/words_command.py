@@ -12,6 +12,7 @@ from click.shell_completion import CompletionItem
 from tissueid.cli.flags import OutputFlags, argument, option, subcommand
 from tissueid.cli.output import EXIT_INCOMPLETE, MARGIN, echo, echo_json, labelled, note, tell
 from tissueid.errors import refuse
+from tissueid.flags import flag_level
 
 if TYPE_CHECKING:
     from tissueid.explanations import Explanation
@@ -49,13 +50,13 @@ def explain(flags: _ExplainFlags) -> int:
 
 
 def _entry_lines(entries: Sequence[Explanation]) -> Iterator[str]:
-    from tissueid.explanations import gravity
+    from tissueid.explanations import GRAVITY
 
     for position, entry in enumerate(entries):
         if position:
             yield ""
         title = f": {entry.title}" if entry.title else ""
-        how = f" ({gravity(entry.name)})" if entry.kind == "flag" else ""
+        how = f" ({GRAVITY[flag_level(entry.name)]})" if entry.kind == "flag" else ""
         yield f"{entry.kind} {entry.symbol or entry.name}{title}{how}"
         yield f"  {entry.meaning}"
         for label, text in (

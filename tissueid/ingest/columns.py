@@ -16,7 +16,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.flags import Flag
-from tissueid.ingest.clock import asked_interval
+from tissueid.ingest.header import asked_interval
 from tissueid.ingest.options import AXES, ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.vocabulary import CHANNELS, SIDEWAYS_RANK, SYMBOL_RANK, Channel, plain_words, rank_of

@@ -15,7 +15,6 @@ from tissueid.flags import Flag
 from tissueid.ingest.appended import Part, recordings
 from tissueid.ingest.body import read_body
 from tissueid.ingest.broken_rows import restart
-from tissueid.ingest.clock import stated_interval
 from tissueid.ingest.columns import (
     Channels,
     ColumnChoice,
@@ -25,7 +24,7 @@ from tissueid.ingest.columns import (
     has_time,
     split_name,
 )
-from tissueid.ingest.header import header_entries, protocol_of, specimen_in
+from tissueid.ingest.header import header_entries, protocol_of, specimen_in, stated_interval
 from tissueid.ingest.layout import Layout, split_line
 from tissueid.ingest.numbers import parse_number
 from tissueid.ingest.options import ReadOptions

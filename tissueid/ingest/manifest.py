@@ -130,8 +130,6 @@ def _places(text: str) -> Iterator[tuple[TomlPath, int]]:
 def lines_of_toml(text: str) -> dict[TomlPath, int]:
     r"""Line, from 1, of every table and key of a valid TOML text.
 
-    Examples
-    --------
     >>> lines_of_toml("[a]\nx = 1\n[[b]]\ny = 2\n[[b]]\n")
     {('a',): 1, ('a', 'x'): 2, ('b', 0): 3, ('b', 0, 'y'): 4, ('b', 1): 5}
     """

@@ -232,7 +232,4 @@ def specimen_key_rank(key: str) -> int | None:
     words = plain_words(key.rsplit(":", 1)[-1] if not key.endswith(":") else key)
     if not _SPECIMEN_WORDS.search(words):
         return None
-    for rank, pattern in enumerate(_SPECIMEN_NAMING):
-        if pattern.search(words):
-            return rank
-    return None
+    return next((rank for rank, pattern in enumerate(_SPECIMEN_NAMING) if pattern.search(words)), None)

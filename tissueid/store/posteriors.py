@@ -132,17 +132,15 @@ def _posterior(entry: Mapping[str, Any], group: Any) -> StoredPosterior:
     if not whole:
         raise ValueError(f"its index does not match the numbers of {entry['specimen']!r}")
     trials = [(trial["path"], trial["sheet"]) for trial in entry["trials"]]
+    kept = ("draws", "draws_total", "chain", "log_density", "log_prior")
+    arrays: dict[str, Any] = {name: columns.get(name) for name in kept}
     return StoredPosterior(
         specimen=entry["specimen"],
         theta_names=tuple(entry["theta_names"]),
-        draws=columns["draws"],
-        draws_total=columns.get("draws_total"),
         chain_names=tuple(entry["chain_names"]),
-        chain=columns["chain"],
         bands={
             trial: columns["bands"][:, start:stop].astype(np.float64)
             for trial, start, stop in zip(trials, offsets[:-1], offsets[1:], strict=True)
         },
-        log_density=columns.get("log_density"),
-        log_prior=columns.get("log_prior"),
+        **arrays,
     )

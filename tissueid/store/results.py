@@ -208,8 +208,7 @@ def _large_problems(out: Path, run: CommittedRun) -> list[str]:
 
 def _bundle_problems(out: Path, run: CommittedRun, document: Mapping[str, Any]) -> Iterable[str]:
     specimens = {entry["specimen"]: entry for entry in document["specimens"]}
-    expected = dict(bundle_names(specimens))
-    owner = {name: specimen for specimen, name in expected.items()}
+    owner = {name: specimen for specimen, name in bundle_names(specimens).items()}
     if len(specimens) == 1:
         owner[ONLY_BUNDLE] = next(iter(specimens))
     for name in sorted(set(owner) - set(run.files)):
