@@ -15,18 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid import __version__
-from tissueid.collection import (
-    Collected,
-    TrialCache,
-    collect,
-    display_names,
-    exclusion_rows,
-    study_flags,
-    study_record,
-    unmatched_sheets,
-    without_excluded,
-)
+from tissueid import __version__, collection
 from tissueid.decided import arithmetic_refusal
 from tissueid.documents import members, typed
 from tissueid.documents.identification import Exit, TipGeometry
@@ -252,7 +241,7 @@ def _own_options(options: FitOptions, study: Study | None, name: str, axes: Axes
 
 
 def _fit_all(
-    collected: Collected,
+    collected: collection.Collected,
     names: Mapping[str, str],
     options: IdentifyOptions,
     study: Study | None,
@@ -301,7 +290,7 @@ def _fit_all(
             said = own.geometry.indenter
             radius_mm, tip = radius_mm or said.radius_mm, typed(members(said, TipGeometry), TipGeometry)
         fit = replace(fit, tip_radius_mm=radius_mm, tip=tip, axes=collected.axes[specimen])
-        fits.append(study_flags(fit, collected, study))
+        fits.append(collection.study_flags(fit, collected, study))
     progress("fitted", total, total)
     return fits
 
@@ -348,27 +337,27 @@ def identify(
     options = with_model(options or IdentifyOptions(), study)
     _refuse_unused(options.fit.model, study)
     progress = progress or (lambda _message, _done, _total: None)
-    collected = collect(
+    collected = collection.collect(
         trials,
         options.segment,
-        TrialCache(reload),
+        collection.TrialCache(reload),
         progress,
         study,
         depths_mm=options.fit.depths_mm,
         unloading=options.fit.unloading,
     )
-    names = display_names(collected.sources) if names is None else names
+    names = collection.display_names(collected.sources) if names is None else names
     fits = _fit_all(collected, names, options, study, progress, checkpoint)
 
     def fit_again(name: str, handles: Sequence[LogHandle], fit: FitOptions, because: str) -> SpecimenFit:
         return _fit(name, handles, fit, study, lambda text: progress(f"{name} {because}: {text}", 0, 0)).fit
 
-    kept = without_excluded(refused, collected, study)
-    exclusions = exclusion_rows(collected, names, fits, options.fit, fit_again)
+    kept = collection.without_excluded(refused, collected, study)
+    exclusions = collection.exclusion_rows(collected, names, fits, options.fit, fit_again)
     inputs = [entry | {"specimen": names[entry["specimen"]]} for entry in collected.inputs]
-    missing = unmatched_sheets(study, collected, refused)
+    missing = collection.unmatched_sheets(study, collected, refused)
     everything = [*kept, *collected.left_out, *missing]
-    record = None if study is None else study_record(study, collected, names, exclusions)
+    record = None if study is None else collection.study_record(study, collected, names, exclusions)
     return Identification(
         specimens=tuple(fits),
         refused=tuple(everything),

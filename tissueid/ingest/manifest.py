@@ -21,16 +21,8 @@ from typing import Any, NoReturn
 import numpy as np
 
 from tissueid.errors import InputError, UsageError, refuse
+from tissueid.ingest import stated
 from tissueid.ingest.options import ReadOptions
-from tissueid.ingest.stated import (
-    PriorError,
-    canonical_key,
-    in_unit,
-    plain_priors,
-    population_of,
-    priors_of,
-    unit_of,
-)
 from tissueid.manifest import Calibration, Entry, FrameCurve, Study, TomlTable
 from tissueid.model.frame import linear_frame
 from tissueid.priors import Priors
@@ -236,7 +228,7 @@ def study_of(content: bytes, file: Path) -> Study:
         calibration=_calibration(document.get("calibration", {}), folder, refuser),
         priors=_priors(document.get("priors", {}), refuser),
         model=_model(document["model"], refuser) if "model" in document else None,
-        population=population_of(document["population"]) if "population" in document else None,
+        population=stated.population_of(document["population"]) if "population" in document else None,
         specimens={entry["name"]: entry for entry in document.get("specimen", ())},
         protocols={entry["name"]: entry for entry in document.get("protocol", ())},
         trials=_entries(document, "trial", folder, refuser),
@@ -330,8 +322,8 @@ def _normalised(table: TomlTable, refuser: _Refuser) -> dict[str, Any]:
             refuser.refuse((name,), f"there is no table {name!r}; {hint}")
         if name == "priors" and isinstance(value, dict):
             try:
-                document[name] = plain_priors(value, _known_priors(value))
-            except PriorError as problem:
+                document[name] = stated.plain_priors(value, _known_priors(value))
+            except stated.PriorError as problem:
                 refuser.refuse(("priors", *problem.where), str(problem))
         elif isinstance(value, dict):
             document[name] = _table(value, (name,), refuser)
@@ -358,8 +350,8 @@ def _known_priors(table: TomlTable) -> TomlTable:
 
 def _priors(plain: TomlTable, refuser: _Refuser) -> Priors:
     try:
-        return priors_of(plain)
-    except PriorError as problem:
+        return stated.priors_of(plain)
+    except stated.PriorError as problem:
         where: TomlPath = ("priors", *problem.where)
         refuser.refuse(where, f"{_place(where)}: {problem}")
 
@@ -370,9 +362,9 @@ def _table(table: TomlTable, where: TomlPath, refuser: _Refuser) -> dict[str, An
     for written, raw in table.items():
         value = raw.isoformat() if isinstance(raw, dt.date | dt.time) else raw
         try:
-            key = canonical_key(written, value, known)
-            if isinstance(value, str) and known[key].get("type") == "number" and unit_of(key) is not None:
-                value = in_unit(key, value)
+            key = stated.canonical_key(written, value, known)
+            number = known[key].get("type") == "number" and stated.unit_of(key) is not None
+            value = stated.in_unit(key, value) if number and isinstance(value, str) else value
         except ValueError as error:
             refuser.refuse((*where, written), str(error))
         if key in plain:

@@ -25,6 +25,7 @@ from tissueid.documents.inspect import Units
 from tissueid.documents.study import StudyCheck
 from tissueid.errors import refuse
 from tissueid.flags import flag_level
+from tissueid.report import wording
 from tissueid.report.figures import curve_payload, curves_by_trial, posterior_payload
 from tissueid.report.law_payload import curve_groups, law_payload
 from tissueid.report.measured_words import measured_view
@@ -35,26 +36,6 @@ from tissueid.report.rendering_words import Rendering, rendering_view
 from tissueid.report.specimen_lines import unloading_words
 from tissueid.report.study_words import change_words, frame_words, key_words, stated_facts, stated_table
 from tissueid.report.uncertainty_words import paper_view, uncertainty_view
-from tissueid.report.wording import (
-    FEW,
-    counted,
-    event_words,
-    in_units,
-    misfit_raised,
-    overview_sentence,
-    parameter_words,
-    percent,
-    reach,
-    remark_title,
-    remarks,
-    span,
-    symbol_words,
-    took,
-    trial_label,
-    unit_words,
-    verdict,
-    whole_label,
-)
 from tissueid.report.workbook import report_workbook
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
@@ -68,9 +49,10 @@ _SCRIPTS = ("grids.js", "posterior.js", "law.js", "figures.js", "tables.js")
 
 #: Functions that templates call by their names, of a value behind a bar as well.
 _WORDS: tuple[Callable[..., Any], ...] = (
-    *(number, span, reach, percent, with_error, counted, took, subscripted, in_units, unit_words),
-    *(symbol_words, event_words, parameter_words, trial_label, whole_label),
-    *(flag_level, remark_title),
+    *(number, with_error, flag_level, subscripted, wording.span, wording.reach, wording.percent),
+    *(wording.counted, wording.took, wording.in_units, wording.unit_words, wording.symbol_words),
+    *(wording.event_words, wording.parameter_words, wording.trial_label, wording.whole_label),
+    wording.remark_title,
     *(change_words, frame_words, key_words, stated_facts, stated_table),
 )
 
@@ -164,15 +146,15 @@ def render_plain(title: str, sections: Sequence[Section]) -> str:
 def few_values(specimen: Specimen) -> list[Estimate | None]:
     """Parameters that stand for a specimen; no error where the residuals contradict the model."""
     known = {
-        one.name: structs.replace(one, stderr=None) if misfit_raised(specimen) else one
+        one.name: structs.replace(one, stderr=None) if wording.misfit_raised(specimen) else one
         for one in specimen.parameters
     }
-    return [known.get(name) for name in FEW]
+    return [known.get(name) for name in wording.FEW]
 
 
 def index_row(specimen: Specimen, page: str) -> dict[str, Any]:
     """A specimen as a row of the table; ``page``: address of its own page, from the table's."""
-    found, few = verdict(specimen), few_values(specimen)
+    found, few = wording.verdict(specimen), few_values(specimen)
     values = [None if one is None else one.value for one in few]
     said = [with_error(None, None) if one is None else with_error(one.value, one.stderr) for one in few]
     nrmsd, trials, depth = 100.0 * specimen.nrmsd.range, len(specimen.trials), specimen.validity.depth_mm
@@ -207,7 +189,7 @@ def _view(
 ) -> dict[str, Any]:
     sure = uncertainty_view(specimen)
     alarms = _alarms(sure)
-    told = [one for one in remarks(specimen) if sure is None or one.code not in _TOLD_APART]
+    told = [one for one in wording.remarks(specimen) if sure is None or one.code not in _TOLD_APART]
     if len(specimen.trials) == 1:
         told = [replace(one, where=()) for one in told]
     shown = MOST_REASONS - len(alarms)
@@ -218,7 +200,7 @@ def _view(
         "sure": sure,
         "paper": paper_view(specimen),
         "measured": measured_view(specimen),
-        "verdict": verdict(specimen),
+        "verdict": wording.verdict(specimen),
         "alarms": alarms,
         "reasons": told[:shown],
         "more": told[shown:],
@@ -252,7 +234,7 @@ def _overview(specimens: Sequence[Specimen]) -> list[dict[str, Any]]:
 
 def _ends(specimen: Specimen, entry: Estimate) -> dict[str, float]:
     """Reach of an error bar up and down: 95 %, or one standard error where nothing was sampled."""
-    if misfit_raised(specimen):
+    if wording.misfit_raised(specimen):
         return {"up": 0.0, "down": 0.0}
     if entry.ci95 is None:
         return {"up": entry.stderr or 0.0, "down": entry.stderr or 0.0}
@@ -312,7 +294,7 @@ def render_report(
         workbook=base64.b64encode(report_workbook(identification, digest)).decode("ascii"),
         payload=_payload(specimens, curves, posteriors, units if len(specimens) > 1 else None),
         common_units=units,
-        overview_sentence=overview_sentence(specimens),
+        overview_sentence=wording.overview_sentence(specimens),
         counts=verdict_counts((one["verdict"].level, one["verdict"].title) for one in views),
         study=identification.study,
         metadata=beside.metadata,

@@ -9,15 +9,7 @@ from typing import Any
 from tissueid.digits import NOT_IDENTIFIED, number, together, with_error
 from tissueid.documents.identification import BudgetRow, Estimate, Specimen
 from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
-from tissueid.report.wording import (
-    counted,
-    depth_words,
-    least_effective,
-    misfit_raised,
-    parameter_words,
-    reach,
-    unit_words,
-)
+from tissueid.report import wording
 
 #: Kinds of parameters in the order of the publication, and what they are called beside a symbol.
 _KINDS = {
@@ -101,7 +93,7 @@ def _row(entry: Estimate, words: str, columns: Sequence[str], *, bare: bool) -> 
         value, *ends = together([entry.value or 0.0, *(end for pair in known for end in pair)], entry.sd)
         left = iter(ends)
         intervals = [f"{next(left)} to {next(left)}" if pair else "" for pair in known]
-    return IntervalRow(words, (entry.symbol,), unit_words(entry.unit), value, tuple(intervals))
+    return IntervalRow(words, (entry.symbol,), wording.unit_words(entry.unit), value, tuple(intervals))
 
 
 def _columns(specimen: Specimen) -> list[str]:
@@ -112,7 +104,7 @@ def _columns(specimen: Specimen) -> list[str]:
 
 def paper_view(specimen: Specimen) -> dict[str, Any]:
     """The contact model's numbers: words of the ``model``, ``rows``, names of ``intervals``, ``said``."""
-    raised = misfit_raised(specimen)
+    raised = wording.misfit_raised(specimen)
     columns = [] if raised else _columns(specimen)
     window = window_words(specimen)
     one_time = f" One relaxation time: {window}." if window else ""
@@ -127,7 +119,7 @@ def paper_view(specimen: Specimen) -> dict[str, Any]:
 def _fit_sentence(specimen: Specimen) -> str:
     """Sentence on the fit, its method, and what it leaves."""
     model, sampler = specimen.model, specimen.sampler
-    branches = counted(model.branches, "branch", "es")
+    branches = wording.counted(model.branches, "branch", "es")
     rmse = f"{number(specimen.nrmsd.rmse_N, 3)} {specimen.units.force}"
     drawn = f"; {sampler.name}, {sampler.draws:,} draws" if sampler else "; nothing sampled"
     law = f"Static force a_1 x + a_2 x² + a_3 x³, {branches} with K(x) = {_FOLD[model.stiffness_degree]}"
@@ -145,8 +137,8 @@ def _range_sentence(specimen: Specimen) -> str:
     valid, length = specimen.validity, specimen.units.length
     windows = [row.window_s[1] - row.window_s[0] for row in specimen.relaxation]
     held = f", holds of up to {number(max(windows), 3)} s" if windows else ""
-    deep = depth_words(valid.depth_mm, specimen.units)
-    return f"Valid to {deep} at {reach(valid.speeds_mm_s)} {length}/s{held}."
+    deep = wording.depth_words(valid.depth_mm, specimen.units)
+    return f"Valid to {deep} at {wording.reach(valid.speeds_mm_s)} {length}/s{held}."
 
 
 def window_words(specimen: Specimen) -> str:
@@ -172,7 +164,7 @@ def _sampler_sentence(specimen: Specimen) -> str:
     if sampler is None:
         return ""
     detail, known = sampler.detail, [one for one in specimen.parameters if one.ess_bulk is not None]
-    least = least_effective(specimen)
+    least = wording.least_effective(specimen)
     r_hats = [entry.r_hat for entry in known if entry.r_hat is not None]
     sizes = ("walkers", "steps") if sampler.name == "emcee" else ()
     parts = [
@@ -222,7 +214,7 @@ def _prior_rows(specimen: Specimen) -> list[dict[str, Any]]:
         rows.append(
             {
                 "of": row,
-                "words": _NUISANCE_WORDS.get(row.name) or parameter_words(row.name),
+                "words": _NUISANCE_WORDS.get(row.name) or wording.parameter_words(row.name),
                 "posterior": f"{after} ± {error}",
                 "width": 100 * min(max(shrinkage or 0.0, 0.0), 1.0),
                 "shrinkage": "–" if shrinkage is None else f"{100 * shrinkage:.0f} %".replace("-", "−"),
@@ -259,7 +251,7 @@ def uncertainty_view(specimen: Specimen) -> dict[str, Any] | None:
     """View of a specimen's uncertainty for the template; ``None`` where nothing was sampled."""
     if specimen.sampler is None:
         return None
-    columns, raised = _columns(specimen), misfit_raised(specimen)
+    columns, raised = _columns(specimen), wording.misfit_raised(specimen)
     checks = () if specimen.misfit is None else specimen.misfit.checks
     return {
         "alarm": [check.message.rstrip(".") for check in checks if check.raised] if raised else [],
