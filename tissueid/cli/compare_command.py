@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -150,12 +151,11 @@ def _compared(bundle: Bundle, stored: StoredPosterior | None, interval: str = "s
 def _apart(tissues: list[Compared]) -> list[Compared]:
     """Tissues of one name told apart by a number."""
     often = Counter(tissue.name for tissue in tissues)
-    seen: Counter[str] = Counter()
-    for place, tissue in enumerate(tissues):
-        seen[tissue.name] += 1
-        if often[tissue.name] > 1:
-            tissues[place] = replace(tissue, name=f"{tissue.name} ({seen[tissue.name]})")
-    return tissues
+    numbers = {name: count(1) for name in often}
+    return [
+        replace(one, name=f"{one.name} ({next(numbers[one.name])})") if often[one.name] > 1 else one
+        for one in tissues
+    ]
 
 
 def _measured_lines(pairs: Sequence[MeasuredPair]) -> Iterator[str]:

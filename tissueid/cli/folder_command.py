@@ -124,13 +124,9 @@ def migrate(flags: _MigrateFlags) -> int:
     """
     from tissueid.store.migrate import migrate_bundle, migrate_folder
 
-    found = []
-    for target in map(Path, flags.targets):
-        if target.is_dir():
-            found += migrate_folder(target)
-        else:
-            one = migrate_bundle(target)
-            found += [] if one is None else [one]
+    targets = map(Path, flags.targets)
+    every = (migrate_folder(one) if one.is_dir() else [migrate_bundle(one)] for one in targets)
+    found = [one for changed in every for one in changed if one is not None]
     if flags.as_json:
         echo_json([{"path": str(one.path), "from_version": one.version} for one in found])
         return 0

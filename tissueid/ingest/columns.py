@@ -336,13 +336,11 @@ def _other_clock(head: _Head) -> int | None:
 def _user_column(head: _Head, channel: Channel, place: Place, line: int | None) -> _Column:
     wanted = head.options.columns[channel]
     found = head.named(wanted)
-    if not found:
-        message = f"there is no column {wanted!r} for the {channel}; {head.seen()}"
-        place.refuse("column_not_found", message, line=line)
-    if len(found) > 1:
+    if len(found) != 1:
         numbers = ", ".join(f"#{column.index + 1}" for column in found)
-        message = f"{len(found)} columns are named {wanted!r}: name one of them by its number, {numbers}"
-        place.refuse("column_not_found", message, line=line)
+        several = f"{len(found)} columns are named {wanted!r}: name one of them by its number, {numbers}"
+        none = f"there is no column {wanted!r} for the {channel}; {head.seen()}"
+        place.refuse("column_not_found", several if found else none, line=line)
     return found[0]
 
 

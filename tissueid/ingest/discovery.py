@@ -16,7 +16,7 @@ from tissueid.errors import InputError, printable, refuse
 from tissueid.ingest.archive import PROSE_SUFFIXES, recordings_in
 from tissueid.ingest.archive import SUFFIXES as IN_ARCHIVES
 from tissueid.ingest.layout import find_layout
-from tissueid.ingest.loading import LARGEST_BYTES, OWN_OUTPUT, remote_bytes, remote_files, url_of
+from tissueid.ingest.loading import OWN_OUTPUT, remote_bytes, remote_files, url_of
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, decode_text
@@ -188,7 +188,7 @@ def _holds_unpacked_nowhere(path: Path) -> bool:
 def _head(path: Path) -> bytes:
     url = url_of(path)
     if url is not None:
-        return remote_bytes(url, LARGEST_BYTES, HEAD_BYTES)[0]
+        return remote_bytes(url, HEAD_BYTES)[0]
     with path.open("rb") as stream:
         return stream.read(HEAD_BYTES)
 

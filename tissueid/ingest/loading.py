@@ -55,12 +55,12 @@ def _unreached(url: str, error: Exception) -> UsageError:
     return UsageError(f"{printable(url)}: this place can't be reached: {error}")
 
 
-def remote_bytes(url: str, limit: int, head: int | None = None) -> tuple[bytes, int]:
-    """A file, or its beginning."""
+def remote_bytes(url: str, head: int | None = None) -> tuple[bytes, int]:
+    """A file, or its beginning, and its size; no bytes of one larger than :data:`LARGEST_BYTES`."""
     system, path = _opened(url)
     try:
         size = int(system.size(path) or 0)
-        data = system.cat_file(path, end=head) if size <= limit else b""
+        data = system.cat_file(path, end=head) if size <= LARGEST_BYTES else b""
     except _UNREACHED as error:
         raise OSError(0, f"{error or type(error).__name__}") from error
     return bytes(data), size
@@ -163,7 +163,7 @@ def _read(handle: int, place: Place) -> bytes:
 def _fetched(url: str, place: Place) -> bytes:
     """A file at a URL."""
     try:
-        data, size = remote_bytes(url, LARGEST_BYTES)
+        data, size = remote_bytes(url)
     except UsageError as error:
         place.refuse("unreadable_file", str(error))
     except OSError as error:

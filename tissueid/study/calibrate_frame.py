@@ -91,11 +91,9 @@ def loadings_of(trial: Trial) -> list[Loading]:
     force = segmentation.force_sign * (trial.force_N - contact.baseline_N)
     travel = segmentation.compression_sign * trial.displacement_mm
     _refuse_relaxing(trial, segmentation, force)
-    loadings = []
-    for phase in segmentation.phases:
-        inside = slice(max(phase.start, contact.index), phase.stop)
-        if phase.kind in {"ramp", "cycle"}:
-            loadings.append(_loading(force[inside], travel[inside], segmentation.force_noise_N))
+    phases = (*segmentation.of_kind("ramp"), *segmentation.of_kind("cycle"))
+    ways = sorted((max(phase.start, contact.index), phase.stop) for phase in phases)
+    loadings = (_loading(force[a:b], travel[a:b], segmentation.force_noise_N) for a, b in ways)
     found = [one for one in loadings if one is not None]
     if not found:
         raise _refuse(trial, f"no loading of {FEWEST_SAMPLES} samples or more was found")

@@ -87,11 +87,8 @@ def exclude(trial: str, because: str, *, manifest: Path) -> tuple[str, str | Non
     if known is not None:
         known["because"] = because
     else:
-        entry = tomlkit.table()
-        entry.add("file", file)
-        if sheet is not None:
-            entry.add("sheet", sheet)
-        entry.add("because", because)
+        place = {"file": file} if sheet is None else {"file": file, "sheet": sheet}
+        entry: Any = tomlkit.item({**place, "because": because})
         entry.add(tomlkit.nl())
         if "exclude" not in document:
             document.add(tomlkit.nl())

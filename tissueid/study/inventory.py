@@ -9,7 +9,7 @@ import hashlib
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -132,13 +132,10 @@ def found_in(path: str, item: Trial | InputError) -> RecordingRow:
 
 def look_into(file: NamedFile, recent: RecentTrials | None = None) -> list[RecordingRow] | None:
     """Everything a file holds, as it was read; ``None`` where it is the file that was known."""
-    if file.known:
-        try:
-            if sha256_of(Path(file.path)) == file.known:
-                return None
-        except OSError:
-            # the reader says what is wrong with it
-            pass
+    # of a file that can't be opened the reader says what is wrong
+    with suppress(OSError):
+        if file.known and sha256_of(Path(file.path)) == file.known:
+            return None
     found = []
     for item in read_decided(Path(file.path), file.options, file.study):
         found.append(found_in(file.path, item))
