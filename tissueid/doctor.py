@@ -111,8 +111,7 @@ def _real_time() -> Check:
     except (OSError, subprocess.SubprocessError, ValueError) as error:
         return Check("real time", "note", f"could not be asked ({type(error).__name__})",
                      "tissueid render --selftest")  # fmt: skip
-    memory = "memory locked" if schedule["locked"] else "memory not locked"
-    words = f"{schedule['name']}, {memory}"
+    words = f"{schedule['name']}, memory {'locked' if schedule['locked'] else 'not locked'}"
     if schedule["remedies"]:
         return Check("real time", "note", words, "; ".join(schedule["remedies"]))
     return Check("real time", "ok", words)

@@ -12,15 +12,10 @@ from tissueid.errors import UsageError
 
 #: Module -> extra of ``pip install 'tissueid[...]'``.
 EXTRA_OF = {
-    "numba": "haptics",
-    "llvmlite": "haptics",
-    "starlette": "viewer",
-    "uvicorn": "viewer",
-    "websockets": "viewer",
-    "dask": "cluster",
-    "distributed": "cluster",
-    "arviz": "arviz",
-    "h5netcdf": "arviz",
+    **dict.fromkeys(("numba", "llvmlite"), "haptics"),
+    **dict.fromkeys(("starlette", "uvicorn", "websockets"), "viewer"),
+    **dict.fromkeys(("dask", "distributed"), "cluster"),
+    **dict.fromkeys(("arviz", "h5netcdf"), "arviz"),
     "fsspec": "remote",
 }
 

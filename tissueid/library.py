@@ -520,5 +520,4 @@ def render(
     )
     if plan.capabilities.hardware and not agreed:
         refuse(f"{device} has motors: tell the person who holds it, then say agreed=True")
-    recorder = None if log is None else Recorder(Path(log), plan.head)
-    return Session(plan, recorder=recorder).run()
+    return Session(plan, recorder=None if log is None else Recorder(Path(log), plan.head)).run()

@@ -355,8 +355,7 @@ def identify(
     kept = collection.without_excluded(refused, collected, study)
     exclusions = collection.exclusion_rows(collected, names, fits, options.fit, fit_again)
     inputs = [entry | {"specimen": names[entry["specimen"]]} for entry in collected.inputs]
-    missing = collection.unmatched_sheets(study, collected, refused)
-    everything = [*kept, *collected.left_out, *missing]
+    everything = [*kept, *collected.left_out, *collection.unmatched_sheets(study, collected, refused)]
     record = None if study is None else collection.study_record(study, collected, names, exclusions)
     return Identification(
         specimens=tuple(fits),

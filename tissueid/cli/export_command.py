@@ -85,8 +85,7 @@ def command(flags: _ExportFlags) -> int:
     whole = json_bytes(read_plain(flags.out))
     # the bytes of identification.json have one spelling, so this is the hash of the file
     digest = hashlib.sha256(whole).hexdigest()
-    content = whole if as_json else csv_bytes(tidy_table(document, flags.form, digest=digest))
-    _write(content, flags)
+    _write(whole if as_json else csv_bytes(tidy_table(document, flags.form, digest=digest)), flags)
     return 0
 
 

@@ -6,11 +6,11 @@ import csv
 import io
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from msgspec import structs
 
@@ -72,7 +72,7 @@ def command(flags: _InspectFlags) -> int:
     were.
     """
     if flags.serve:
-        return serve(flags, lambda asked: inspected(asked, drawn=True))
+        return serve(flags)
     found = inspected(flags, drawn=flags.html is not None)
     if flags.html is not None:
         write_output(flags.html, found.page().encode("utf-8"), quiet=flags.quiet)
@@ -281,7 +281,7 @@ def summary_lines(described: Sequence[Trial], refused: int) -> list[str]:
 _OTHERS = {"as_json": "--json", "html": "--html", "csv": "--csv", "xlsx": "--xlsx", "no_study": "--no-study"}
 
 
-def serve(flags: _InspectFlags, inspected: Callable[[_InspectFlags], Any]) -> int:
+def serve(flags: _InspectFlags) -> int:
     """Serve until Ctrl-C what is inspected again after each correction."""
     from tissueid.cli.view_command import open_browser
     from tissueid.study.corrections import CorrectedInspection
@@ -292,8 +292,8 @@ def serve(flags: _InspectFlags, inspected: Callable[[_InspectFlags], Any]) -> in
         refuse(f"--serve writes study.toml and shows its page: leave {other} out")
     manifest = _manifest(flags)
 
-    def inspect() -> Any:
-        return inspected(replace(flags, study=str(manifest)) if manifest.exists() else flags)
+    def inspect() -> Inspection:
+        return inspected(replace(flags, study=str(manifest)) if manifest.exists() else flags, drawn=True)
 
     shown = CorrectedInspection(manifest, inspect, read_options(flags))
     shown.page()

@@ -71,8 +71,7 @@ def last_part(key: str) -> str:
 
 def is_protocol_key(key: str) -> bool:
     """True where a header key states rate, depth, hold, load limit or tip."""
-    words = last_part(key)
-    return any(pattern.fullmatch(words) for pattern in _ALL)
+    return any(pattern.fullmatch(last_part(key)) for pattern in _ALL)
 
 
 _NOTHING = re.compile(r"<.*>|-+|n/?a|none", re.IGNORECASE)

@@ -59,8 +59,7 @@ def bare_rows(
     form, count = forms.most_common(1)[0] if forms else (None, 0)
     if form is None or count < FEWEST_ROWS or count < ALIKE * len(worded):
         return data, (), ()
-    number_of_cells = len(form.labels)
-    plain = form.mark.join(rb"\g<%d>" % k for k in range(1, number_of_cells + 1))
+    plain = form.mark.join(rb"\g<%d>" % k for k in range(1, len(form.labels) + 1))
     bare = form.pattern().sub(plain, data)
     for line in _WORDED_LINE.finditer(bare):
         other = _form(line[0])

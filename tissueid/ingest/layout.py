@@ -407,8 +407,7 @@ _IN_VOLTS = re.compile(r"\W*(?:test |raw )?data in (?:volts|V)\b", re.IGNORECASE
 
 def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     """Lay out a text file."""
-    head = text.data[:HEAD_BYTES]
-    raw = head.splitlines(keepends=True)
+    raw = text.data[:HEAD_BYTES].splitlines(keepends=True)
     if len(text.data) > HEAD_BYTES:
         raw = raw[:-1]
     if not raw:

@@ -98,8 +98,7 @@ def _table(log: SessionLog, records: RecordArray, place: Place) -> Table:
     force[limit] = force.max()
     depth = _depth(log.head["surface"], records["position_m"], scale["motion_scale"])
     _agree(records, force, depth, place)
-    label = int(records["label"][0])
-    tissue = next(entry for entry in log.head["tissues"] if entry["label"] == label)
+    tissue = next(entry for entry in log.head["tissues"] if entry["label"] == int(records["label"][0]))
     # a pause of the force in contact is no answer of the tissue
     felt = ((records["lamps"] & _LOWERED) == 0) | (records["depth_mm"] <= 0.0)
     if np.count_nonzero(felt) < 2:

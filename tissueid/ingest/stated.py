@@ -80,8 +80,7 @@ _PRINTED = {"N_per_mm": "N/mm", "mm_s": "mm/s"}
 
 def unit_of(key: str) -> str | None:
     """The unit at the end of a key, ``None`` where it has none: ``"thickness_mm_sd"`` gives ``"mm"``."""
-    bare = key.removesuffix("_sd")
-    return next((unit for unit in _CONVERT if bare.endswith(f"_{unit}")), None)
+    return next((unit for unit in _CONVERT if key.removesuffix("_sd").endswith(f"_{unit}")), None)
 
 
 def without_unit(key: str) -> str:

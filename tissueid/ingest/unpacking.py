@@ -85,8 +85,7 @@ def _xml_extent(stream: IO[bytes]) -> tuple[int, int]:
     """Rows and columns of a sheet, at least 26 columns: those of one letter are not looked for."""
     rows, columns = 0, 26
     for piece in _pieces(stream):
-        numbers = _ROW.findall(piece)
-        rows = max(rows, max(map(int, numbers), default=0))
+        rows = max(rows, *map(int, _ROW.findall(piece)), 0)
         for reference in set(_FAR_CELL.findall(piece)):
             letters = reference.rstrip(b"0123456789")
             column = 0

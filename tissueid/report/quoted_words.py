@@ -174,8 +174,7 @@ def _spectra(quoted: Quoted) -> Table | None:
     spectra = quoted.spectra
     if not spectra:
         return None
-    edges = [10.0**n for n in range(-6, 10)]
-    found = [np.digitize(one.tau_s, edges) - 7 for one in spectra]
+    found = [np.digitize(one.tau_s, [10.0**n for n in range(-6, 10)]) - 7 for one in spectra]
     used = sorted({int(n) for decades in found for n in decades if -6 <= n < 9})
     rows = []
     for one, decades in zip(spectra, found, strict=True):

@@ -77,8 +77,7 @@ def _reached(document: Rupture) -> Figure:
         }
         traces.append(trace(speeds, shares, "markers", name=words, **look))
     level = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 1, "y1": 1}
-    shapes = [{**level, "line": {"ink": "soft", "width": 1}}]
-    layout = {**LOG_BOTH, "shapes": shapes}
+    layout = {**LOG_BOTH, "shapes": [{**level, "line": {"ink": "soft", "width": 1}}]}
     return Figure("Criteria", "Speed [mm/min]", "Reached over median", traces, layout)
 
 

@@ -48,6 +48,8 @@ BUNDLE_FORMAT = "tissueid/bundle"
 BUNDLE_SCHEMA_VERSION = 1
 OPTIONAL = ("draws", "population_mean", "population_sd")
 ARRAYS = ("theta", "covariance", *OPTIONAL)
+#: Taken from a fit as they are.
+_OF_FIT = ("specimen", "model", "theta_names", "theta", "speeds_mm_s", "tip_radius_mm", "tip", "flags")
 UNITS = Axes().as_json()
 _DOCUMENT = "document"
 SPECIMEN_GROUP = "specimen"
@@ -223,18 +225,11 @@ def bundle_from_fit(fit: SpecimenFit, *, provenance: Mapping[str, Any]) -> Bundl
     ]
     posterior = fit.posterior
     return Bundle(
-        specimen=fit.specimen,
-        model=fit.model,
-        theta_names=fit.theta_names,
-        theta=fit.theta,
+        **{name: getattr(fit, name) for name in _OF_FIT},
         covariance=fit.covariance if posterior is None else posterior.covariance,
         parameters=tuple(replace(one, unit=fit.axes.unit(one.unit)) for one in fit.parameters),
         depth_mm=float(fit.depth_mm),
-        speeds_mm_s=fit.speeds_mm_s,
-        tip_radius_mm=fit.tip_radius_mm,
-        tip=fit.tip,
         sigma_N=float(fit.sigma_N),
-        flags=fit.flags,
         provenance={**provenance, "inputs": inputs},
         draws=None if posterior is None else posterior.draws[evenly(len(posterior.draws), MOST_DRAWS)],
         units=fit.axes.as_json(),

@@ -234,8 +234,7 @@ def fit_cohort(request: Request, run: OutputSet, progress: Progress) -> Assemble
     Raises BundleError: the output can't be written, a full disk included; what is finished is kept.
     """
     with Index(run.out) as index:
-        process = {"pid": os.getpid(), "host": platform.node()}
-        index.begin_run(time.time(), process, len(request.found))
+        index.begin_run(time.time(), {"pid": os.getpid(), "host": platform.node()}, len(request.found))
         state, reason = "failed", None
         try:
             found = _Cohort(request, run, index, progress).fit()

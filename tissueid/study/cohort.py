@@ -57,8 +57,7 @@ def write_population(
         if not mix_states and not STATES & {options.group_by, *options.covariates}:
             _refuse_mixed(*thawed_among_fresh(members))
         fit = cohort(members, options, lambda text: progress(text, 0, 0))
-        source = sha256_of(out / IDENTIFICATION)
-        document = as_document(fit, options, source=source)
+        document = as_document(fit, options, source=sha256_of(out / IDENTIFICATION))
         written = plain(document)
         if fit.population is None:
             left = "".join(f"; {printable(row.specimen)}: {row.reason}" for row in document.left_out)
