@@ -38,7 +38,8 @@ CACHE_BYTES = 16 * 2**20
 #: of a sphere) a hinge is four of its own late, and it is told from samples that the fit sees.
 CONTACT_WIDER = 3.0
 
-_Progress = Callable[[str, int, int], None]
+#: Message, tasks done, and all of them; 0 where these are not known.
+Progress = Callable[[str, int, int], None]
 #: Path and sheet of a recording.
 _Key = tuple[str, str | None]
 
@@ -233,7 +234,7 @@ def collect(
     trials: Iterable[Trial],
     options: SegmentOptions,
     cache: TrialCache,
-    progress: _Progress,
+    progress: Progress,
     study: Study | None = None,
     *,
     depths_mm: tuple[float, ...] = (),

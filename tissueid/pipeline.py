@@ -74,7 +74,6 @@ class IdentifyOptions:
 
 
 Checkpoints = Callable[[str], Path]
-_Progress = Callable[[str, int, int], None]
 
 
 def unmet(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[str]:
@@ -245,7 +244,7 @@ def _fit_all(
     names: Mapping[str, str],
     options: IdentifyOptions,
     study: Study | None,
-    progress: _Progress,
+    progress: collection.Progress,
     checkpoint: Checkpoints | None,
 ) -> list[SpecimenFit]:
     """Fit every specimen; one whose numbers defeat the arithmetic is refused, and the rest goes on."""

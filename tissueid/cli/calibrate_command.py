@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -18,6 +18,7 @@ from tissueid.documents.selfcheck import Prior, SelfCheck
 from tissueid.errors import InputError, NotIdentifiedError, UsageError, refuse
 
 if TYPE_CHECKING:
+    from tissueid.collection import Progress
     from tissueid.priors import Priors
     from tissueid.result import Refusal
     from tissueid.selfcheck.protocol import Centre, Protocol
@@ -154,9 +155,6 @@ def _lines(
     yield f"{'calibrated' if verdict.calibrated else 'NOT calibrated'}: {out}/{_FILES[1]}"
 
 
-_Progress = Callable[[str, int, int], None]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
     """Object of a check."""
@@ -168,7 +166,7 @@ class Found:
     stated: Priors | None = None  # of a study
 
 
-def found_source(flags: _CalibrateFlags, progress: _Progress) -> Found:
+def found_source(flags: _CalibrateFlags, progress: Progress) -> Found:
     """Look at the source the user named."""
     from tissueid.selfcheck.protocol import of_recipe
     from tissueid.synth import RECIPES, load_recipe, recipe
@@ -219,7 +217,7 @@ def bundle_file(path: Path) -> Path | None:
     return only
 
 
-def _bundle(path: Path, flags: _CalibrateFlags, progress: _Progress) -> Found:
+def _bundle(path: Path, flags: _CalibrateFlags, progress: Progress) -> Found:
     from tissueid.selfcheck.protocol import inputs_there, of_bundle, pooled
     from tissueid.store.bundle import load_bundle
 
@@ -233,7 +231,7 @@ def _bundle(path: Path, flags: _CalibrateFlags, progress: _Progress) -> Found:
     return Found("bundle", bundle.specimen, measured, centre)
 
 
-def _measured(bundle: Bundle, progress: _Progress) -> Protocol | None:
+def _measured(bundle: Bundle, progress: Progress) -> Protocol | None:
     """The measured x(t) behind a bundle, read as it was read then."""
     from tissueid.selfcheck.protocol import inputs_there, of_bundle_inputs
     from tissueid.study.recordings import locate_study
@@ -251,7 +249,7 @@ def _measured(bundle: Bundle, progress: _Progress) -> Protocol | None:
         return None
 
 
-def _recordings(named: str, flags: _CalibrateFlags, progress: _Progress) -> Found:
+def _recordings(named: str, flags: _CalibrateFlags, progress: Progress) -> Found:
     from tissueid.selfcheck.protocol import Recordings, of_recordings
     from tissueid.study.recordings import locate_study, read_decided_one
 

@@ -25,6 +25,7 @@ from tissueid.flags import FLAGS, harm_rank
 
 if TYPE_CHECKING:
     from tissueid.result import Refusal
+    from tissueid.store.xlsx import Cell
     from tissueid.study.inspected import Inspection
 
 SECONDS_PER_MINUTE = 60.0
@@ -336,8 +337,6 @@ HEAD = (
     *(f"modulus_{name}" for name in _MODULUS),
     "loop_areas_mJ", "force_unit", "length_unit", "flags",
 )  # fmt: skip
-
-Cell = str | float | bool | None
 
 
 def measured_rows(described: Sequence[Trial]) -> list[list[Cell]]:

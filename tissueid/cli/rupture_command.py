@@ -12,13 +12,12 @@ from tissueid.cli.output import EXIT_INCOMPLETE, echo, note, progress_bar, tell
 from tissueid.cli.reading import ReadingFlags, read_all, read_options, refuse_same_folder, segment_options
 from tissueid.documents import typed
 from tissueid.documents.rupture import Rupture, Speed
+from tissueid.rupture_law import CRITERIA
 
 if TYPE_CHECKING:
     from tissueid.result import Refusal
     from tissueid.rupture.run import RuptureRun
 
-#: What may be asked for, written out so that help need not load it; a test holds it against the code.
-ASKED = ("none", "auto", "work", "weighted-force", "stored-energy", "depth")
 S_PER_MIN = 60.0
 
 
@@ -27,7 +26,7 @@ class _RuptureFlags(ReadingFlags, OutputFlags):
     out: str = option("Folder to write to.", "-o", required=True, type=FOLDER)
     criterion: str = option(
         "What the bundles rupture by; auto takes what the evidence decides for, or none.",
-        type=click.Choice(ASKED),
+        type=click.Choice(("none", "auto", *CRITERIA)),
         default="none",
     )
     weight: float = option("w of the weighted force F_s + w F_d.", type=REAL_FROM_0, default=1.5)

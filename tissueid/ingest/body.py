@@ -16,7 +16,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import ByteArray, FloatArray
 from tissueid.flags import Flag
 from tissueid.ingest.broken_rows import lost_marks, refuse_broken
 from tissueid.ingest.columns import Channels, ColumnChoice
@@ -32,7 +32,6 @@ from tissueid.own_process import threads
 # a word, and taken out.  The parity of the quotes says which bytes stand inside a pair, as a prefix
 # exclusive-or of the bits of a word (x ^= x << 1, << 2, ... << 32); a thousands separator is a mark between
 # two digits, in groups of 1-3 digits, not 0 first, then threes, then the decimal mark.
-Bytes = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 Words = NDArray[np.uint64]
 
@@ -90,7 +89,7 @@ def _quotes_sound(control: Words, delimiter: Words, quote: Words, inside: Words)
     return not (torn or loose)
 
 
-def _groups_sound(b: Bytes, mark: Words, digit: Words, start: Words, decimal: int) -> bool:
+def _groups_sound(b: ByteArray, mark: Words, digit: Words, start: Words, decimal: int) -> bool:
     """Every thousands separator stands in a properly grouped decimal number."""
     follows = _behind(mark | _words(b == decimal), 4)
     for count in (1, 2, 3):
@@ -102,7 +101,7 @@ def _groups_sound(b: Bytes, mark: Words, digit: Words, start: Words, decimal: in
     return not (mark & ~(follows & first)).any()
 
 
-def _set(b: Bytes, words: Words, value: int) -> None:
+def _set(b: ByteArray, words: Words, value: int) -> None:
     """Overwrite the bytes whose bits are set."""
     np.putmask(b, np.unpackbits(words.view(np.uint8), bitorder="little", count=b.size).view(np.bool_), value)
 

@@ -143,7 +143,8 @@ SCHEMA = "tissueid/study/1"
 #: Standard deviation of a stated frame stiffness whose own was not stated, as a share.
 UNSTATED_FRAME_SD = 0.10
 _SYNTAX_PLACE = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
-_READING = ("columns", "units", "axes")
+#: Keys of ``[[override]]`` that decide how a file is read.
+READING = ("columns", "units", "axes")
 #: What the validator says -> plain words; the first pattern that fits.
 _PLAIN = (
     (re.compile(r"^'(\w+)' is a required property$"), r"\1 is missing"),
@@ -430,7 +431,7 @@ def _check_names(document: TomlTable, refuser: _Refuser) -> None:
 def _check_reading(document: TomlTable, refuser: _Refuser) -> None:
     """Columns, units and axes make sense to the readers."""
     for i, entry in enumerate(document.get("override", ())):
-        for key in _READING:
+        for key in READING:
             try:
                 ReadOptions(**{key: entry.get(key, {})})
             except UsageError as error:

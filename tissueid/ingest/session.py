@@ -14,32 +14,30 @@ import numpy as np
 from tissueid.arrays import FloatArray, RecordArray
 from tissueid.errors import BundleError, InputError
 from tissueid.flags import Flag
+from tissueid.haptics.states import Lamp, State
 from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
 from tissueid.store.session_log import SessionLog, is_session_log, read_session_log
 from tissueid.trial import RENDERED, Protocol
 
-#: Engaged: the only state in which a force is felt (haptics/states.py, which ingest does not import).
-_ENGAGED = 5
-#: Lamps of ticks in which the device's force is not the tissue's: clipped, slewed, passivity, stalled, rms
-#: limit, dead-man, ramping, ruptured, a silent device, a late one.
-_INTERFERED = 1 | 2 | 4 | 32 | 64 | 128 | 256 | 512 | 4096 | 8192
-_CLIPPED = 1
-#: Lamps of ticks in which the whole force is taken up or away: dead-man, ramping.
-_RAMPED = 128 | 256
+#: Lamps of ticks in which the whole force is taken up or away.
+_RAMPED = Lamp.DEAD_MAN | Lamp.RAMPING
 #: The same, and those of a device that did not answer, or late, whose force is lowered.
-_LOWERED = _RAMPED | 4096 | 8192
+_LOWERED = _RAMPED | Lamp.SILENT | Lamp.LATENCY
+_SHAPED = Lamp.CLIPPED | Lamp.SLEWED | Lamp.PASSIVITY | Lamp.STALLED | Lamp.RMS_LIMITED
+#: Lamps of ticks in which the device's force is not the tissue's.
+_INTERFERED = _LOWERED | _SHAPED | Lamp.RUPTURED
 _LAMP_WORDS = {
-    1: "clipped",
-    2: "slewed",
-    32: "stalled",
-    256: "ramping",
-    4: "corrected by the passivity controller",
-    8: "deeper than identified",
-    16: "faster than identified",
-    512: "ruptured",
-    4096: "silent",
-    8192: "late",
+    Lamp.CLIPPED: "clipped",
+    Lamp.SLEWED: "slewed",
+    Lamp.STALLED: "stalled",
+    Lamp.RAMPING: "ramping",
+    Lamp.PASSIVITY: "corrected by the passivity controller",
+    Lamp.OUTSIDE_DEPTH: "deeper than identified",
+    Lamp.OUTSIDE_SPEED: "faster than identified",
+    Lamp.RUPTURED: "ruptured",
+    Lamp.SILENT: "silent",
+    Lamp.LATENCY: "late",
 }
 #: Disagreement of the two sides that is rounding: of the largest force, and of the depth [mm].
 _FORCE_TOLERANCE = 1e-6
@@ -76,7 +74,8 @@ def read_session(file: InputFile) -> Iterator[Table | InputError]:
 
 def _stretches(records: RecordArray) -> Iterator[RecordArray]:
     """Runs of engaged ticks with one tissue, without the ramps of force at their ends."""
-    engaged = records[records["state"] == _ENGAGED]
+    # the only state in which a force is felt
+    engaged = records[records["state"] == State.ENGAGED]
     breaks = np.flatnonzero(np.diff(engaged["label"].astype(np.int64))) + 1
     for part in np.split(engaged, breaks):
         ramping = (part["lamps"] & _RAMPED) != 0
@@ -94,7 +93,7 @@ def _table(log: SessionLog, records: RecordArray, place: Place) -> Table:
         )
     force = np.linalg.norm(records["force_N"], axis=1) / scale["force_scale"]
     # the length of a vector that was cut to the device's limit is that limit but for rounding
-    limit = ((records["lamps"] & _CLIPPED) != 0) & np.isclose(force, force.max(), rtol=1e-12, atol=0.0)
+    limit = ((records["lamps"] & Lamp.CLIPPED) != 0) & np.isclose(force, force.max(), rtol=1e-12, atol=0.0)
     force[limit] = force.max()
     depth = _depth(log.head["surface"], records["position_m"], scale["motion_scale"])
     _agree(records, force, depth, place)

@@ -21,6 +21,7 @@ from typing import Any
 
 from tissueid.collection import (
     Collected,
+    Progress,
     RecentTrials,
     display_names,
     exclusion_rows,
@@ -51,7 +52,6 @@ from tissueid.store.schema import check
 from tissueid.study.inventory import (
     LOCAL,
     Inventory,
-    Progress,
     Request,
     Workplace,
     decided_row,

@@ -17,7 +17,7 @@ from tissueid.documents import typed
 from tissueid.documents.identification import StudyRecord
 from tissueid.documents.inspect import Refusal as RefusedInput
 from tissueid.documents.study import Missing, StudyCheck
-from tissueid.manifest import Study
+from tissueid.manifest import Study, TomlTable
 from tissueid.result import Refusal
 
 ESSENTIAL: Final = 3
@@ -76,9 +76,6 @@ ITEMS: tuple[Missing, ...] = (
 )  # fmt: skip
 
 
-_Table = Mapping[str, Any]
-
-
 def completeness(study: Study, unmatched: Sequence[Refusal] = ()) -> StudyCheck:
     """Grade a study file; ``unmatched``: files and sheets that it names in vain."""
     frame = study.calibration.frame
@@ -106,14 +103,14 @@ def _stated(table: Struct) -> dict[str, Any]:
 
 def _graded(
     path: str,
-    general: tuple[_Table, _Table, _Table],
-    specimens: Mapping[str, _Table],
-    trials: Mapping[str, _Table],
+    general: tuple[TomlTable, TomlTable, TomlTable],
+    specimens: Mapping[str, TomlTable],
+    trials: Mapping[str, TomlTable],
     unmatched: Sequence[Refusal],
 ) -> StudyCheck:
     """The verdict on study, calibration and tip, and on specimens and trials by name."""
     about, calibration, tip = general
-    tables: Mapping[str, Mapping[str, _Table]] = {
+    tables: Mapping[str, Mapping[str, TomlTable]] = {
         "study": {"": about},
         "calibration": {"": calibration},
         "tip": {"": tip},

@@ -14,15 +14,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from tissueid.collection import RecentTrials
+from tissueid.collection import Progress, RecentTrials
 from tissueid.errors import InputError
 from tissueid.ingest import ReadOptions
+from tissueid.ingest.manifest import READING
 from tissueid.manifest import Study
 from tissueid.pipeline import IdentifyOptions
 from tissueid.result import Refusal
 from tissueid.store.files import json_bytes, sha256_of
 from tissueid.store.index import Index, RecordingRow
-from tissueid.study.recordings import READING, FileList, StudyParts, read_decided
+from tissueid.study.recordings import FileList, StudyParts, read_decided
 from tissueid.study.tasks import (
     Fault,
     InThisProcess,
@@ -42,8 +43,6 @@ WORTH_PROCESSES_S = 8.0
 #: What a job is expected to cost: reading, segmenting and fitting [s a sample], and sampling [s].
 SECONDS_A_SAMPLE = 5e-6
 SECONDS_SAMPLING: Mapping[str, float] = {"emcee": 2.5, "none": 0.2}
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True)

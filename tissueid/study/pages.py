@@ -22,7 +22,7 @@ from tissueid.documents.session import Scale
 from tissueid.documents.twin import Twin
 from tissueid.errors import TissueidError
 from tissueid.haptics.registry import reported_devices
-from tissueid.rendering.precheck import Demands, Precheck, check_before_force, demands_of
+from tissueid.rendering.precheck import MM_PER_M, Demands, Precheck, check_before_force, demands_of
 from tissueid.rendering.tissue_block import WORKSPACE_CENTRE_M
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.report import render_report
@@ -44,7 +44,6 @@ from tissueid.study.tasks import Task, Workforce, attempt, packed
 EXPLORING_MM_S = 100.0
 #: Draws that are looked at.
 MOST_DRAWS = 500
-MM_PER_M = 1000.0
 
 
 def _devices() -> dict[str, Demands]:

@@ -17,13 +17,10 @@ from tissueid.documents import members, plain
 from tissueid.documents.identification import Frame
 from tissueid.errors import InputError, refuse
 from tissueid.ingest import ReadOptions, each_input, read_each, read_one
-from tissueid.ingest.manifest import MANIFEST, read_study
+from tissueid.ingest.manifest import MANIFEST, READING, read_study
 from tissueid.manifest import Entry, Study
 from tissueid.result import Refusal
 from tissueid.trial import Trial
-
-#: Keys of ``[[override]]`` that decide how a file is read.
-READING = ("columns", "units", "axes")
 
 
 def locate_study(
