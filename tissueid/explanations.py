@@ -11,33 +11,25 @@ from tissueid.flags import FLAGS
 from tissueid.model.grammar import described
 from tissueid.quantity_words import QUANTITIES, quantity_name
 
+# fmt: off
 #: Exit code -> what it means, and what to do.
 EXIT_MEANINGS: Mapping[str, tuple[str, str]] = {
     "0": ("it worked", "Nothing."),
     "1": ("a bug in tissueid", "Run again with -v and report what it prints."),
-    "2": (
-        "wrong usage: an option, a path or a setting makes no sense",
-        "The message names it and the way out.",
-    ),
-    "3": (
-        "every input was refused",
-        "Each file is named with its line; correct it, or state what is unclear.",
-    ),
-    "4": (
-        "a required parameter is not identified, or something did not converge",
-        "The result is written; look at its flags, test more, or choose with --require what you need.",
-    ),
-    "5": (
-        "a device is missing, forbidden or lost, or safety refused",
-        "The message says which; --device sim.",
-    ),
-    "6": (
-        "an output folder or bundle is damaged, or can't be written",
-        "`tissueid validate` says what; fit again.",
-    ),
+    "2": ("wrong usage: an option, a path or a setting makes no sense",
+        "The message names it and the way out."),
+    "3": ("every input was refused",
+        "Each file is named with its line; correct it, or state what is unclear."),
+    "4": ("a required parameter is not identified, or something did not converge",
+        "The result is written; look at its flags, test more, or choose with --require what you need."),
+    "5": ("a device is missing, forbidden or lost, or safety refused",
+        "The message says which; --device sim."),
+    "6": ("an output folder or bundle is damaged, or can't be written",
+        "`tissueid validate` says what; fit again."),
     "7": ("finished, but something was left out", "Each is named with its line."),
     "130": ("interrupted", "What was finished is kept; the same command goes on from there, or begins anew."),
 }
+# fmt: on
 #: Gravity of a flag -> words.
 GRAVITY = {
     "ok": "harmless",

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from tissueid.ingest.header import header_entries, specimen_in
 from tissueid.ingest.labelled import FEWEST_ROWS
-from tissueid.ingest.layout import Layout, Row, is_units_row, split_line, stated_units
-from tissueid.ingest.numbers import CellFault, parse_number
+from tissueid.ingest.layout import Layout, is_units_row, split_line, stated_units
+from tissueid.ingest.numbers import CellFault, Row, parse_number
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import Text

@@ -16,8 +16,8 @@ from tissueid.flags import Flag
 from tissueid.ingest.columns import has_channels, split_name
 from tissueid.ingest.delimited import read_table
 from tissueid.ingest.header import header_entries, protocol_of
-from tissueid.ingest.layout import Layout, Row, find_decimal, is_units_row, numeric_columns, split_line
-from tissueid.ingest.numbers import looks_numeric
+from tissueid.ingest.layout import Layout, find_decimal, is_units_row, numeric_columns, split_line
+from tissueid.ingest.numbers import Row, looks_numeric
 from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.side_by_side import SpecimenColumns, specimen_columns

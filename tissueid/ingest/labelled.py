@@ -7,12 +7,10 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from tissueid.ingest.numbers import is_word, looks_numeric
+from tissueid.ingest.numbers import Row, is_word, looks_numeric
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.vocabulary import is_units_key
 from tissueid.units import bare_unit, quantity_of
-
-Row = tuple[str, ...]
 
 #: Rows that show how cells are written, and the share of lines with a number that are written so.
 FEWEST_ROWS, ALIKE = 5, 0.9

@@ -18,7 +18,7 @@ from itertools import zip_longest
 from tissueid.flags import Flag
 from tissueid.ingest.columns import channel_columns, has_channels, split_name
 from tissueid.ingest.labelled import units_beside, with_units
-from tissueid.ingest.numbers import decimal_evidence, is_word, looks_numeric
+from tissueid.ingest.numbers import Row, decimal_evidence, is_word, looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, Text
@@ -26,7 +26,6 @@ from tissueid.ingest.vocabulary import is_comment_name, is_units_key, plain_word
 from tissueid.units import quantity_of
 
 Cells = Sequence[str]
-Row = tuple[str, ...]
 
 _BRACKETED = re.compile(r"\s*[(\[（［【].*[)\]）］】]\s*")
 _STATISTICS = re.compile(

@@ -22,6 +22,9 @@ from functools import cache, lru_cache
 MARKS = "\u00a0\u202f '\u2019"
 _SAME_MARK = {"\u00a0": " ", "\u202f": " ", "\u2019": "'"}
 
+#: Cells of a line.
+Row = tuple[str, ...]
+
 #: Not the no-break space: it separates thousands, and may have lost the digits before it.
 _PADDING = " \t\r\n"
 

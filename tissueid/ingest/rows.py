@@ -24,8 +24,8 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.ingest.columns import has_channels
-from tissueid.ingest.layout import Layout, Row, announced_results, is_units_row, results_flag, results_spans
-from tissueid.ingest.numbers import CellFault, grouping_mark, looks_numeric, parse_number, quoted
+from tissueid.ingest.layout import Layout, announced_results, is_units_row, results_flag, results_spans
+from tissueid.ingest.numbers import CellFault, Row, grouping_mark, looks_numeric, parse_number, quoted
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import Text

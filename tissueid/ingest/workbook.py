@@ -23,8 +23,8 @@ from tissueid.ingest.broken_rows import refuse_broken
 from tissueid.ingest.columns import Channels, ColumnChoice, choose_columns, has_channels
 from tissueid.ingest.header import header_entries, specimen_in
 from tissueid.ingest.labelled import units_beside, with_units
-from tissueid.ingest.layout import Anchor, Row, anchor, results_below, results_flag
-from tissueid.ingest.numbers import looks_numeric
+from tissueid.ingest.layout import Anchor, anchor, results_below, results_flag
+from tissueid.ingest.numbers import Row, looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table, packed_kind
 from tissueid.ingest.refusals import Place
