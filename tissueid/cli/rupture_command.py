@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from tissueid.result import Refusal
     from tissueid.rupture.run import RuptureRun
 
+#: What may be asked for; a test holds it against the code.
+ASKED = ("none", "auto", *CRITERIA)
 S_PER_MIN = 60.0
 
 
@@ -26,7 +28,7 @@ class _RuptureFlags(ReadingFlags, OutputFlags):
     out: str = option("Folder to write to.", "-o", required=True, type=FOLDER)
     criterion: str = option(
         "What the bundles rupture by; auto takes what the evidence decides for, or none.",
-        type=click.Choice(("none", "auto", *CRITERIA)),
+        type=click.Choice(ASKED),
         default="none",
     )
     weight: float = option("w of the weighted force F_s + w F_d.", type=REAL_FROM_0, default=1.5)

@@ -310,16 +310,14 @@ def _bad_cell(values: Sequence[Any], wanted: Sequence[int], number: int, place: 
     """The refusal of the first cell that is no number."""
     cells = zip(map(_shown, values), values, wanted, strict=True)
     shown, at = next((text, k + 1) for text, value, k in cells if type(value) not in (float, int))
-    code, message = "empty_cell", "the cell is empty; fill or remove the row"
-    if shown:
-        code, message = (
-            "text_in_numbers",
-            (
-                f"{shown[:40]!r} is stored as text or date, not as a number; go back to the original"
-                " export, or save the sheet as CSV"
-            ),
-        )
-    return place.refusal(code, message, line=number, column=at)
+    if not shown:
+        message = "the cell is empty; fill or remove the row"
+        return place.refusal("empty_cell", message, line=number, column=at)
+    message = (
+        f"{shown[:40]!r} is stored as text or date, not as a number; go back to the original"
+        " export, or save the sheet as CSV"
+    )
+    return place.refusal("text_in_numbers", message, line=number, column=at)
 
 
 TESTXPERT_WORKBOOK = Recipe(
