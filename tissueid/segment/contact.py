@@ -182,7 +182,7 @@ def find_contact(
     ``touches``: moves into the tissue before those of ``loading``, under which force hardly rises.
     """
     if options.contact_displacement_mm is not None:
-        return _given(depth_mm, force_N, signs, options)
+        return _given(depth_mm, force_N, signs, options.contact_displacement_mm, options.contact_sd_mm)
     # a single wild reading of travel is no travel
     depth_mm = without_spikes(depth_mm, noise=0.0)
     meeting = [k for k, piece in enumerate(loading) if _meets(force_N, piece, noise_N)]
@@ -383,11 +383,9 @@ def _reading_in_air(u: FloatArray, f: FloatArray, air: HingeFit, noise_N: float)
 
 
 def _given(
-    depth_mm: FloatArray, force_N: FloatArray, signs: tuple[int, int], options: SegmentOptions
+    depth_mm: FloatArray, force_N: FloatArray, signs: tuple[int, int], given: float, sd_mm: float
 ) -> tuple[Contact | None, list[Flag]]:
     """The user's contact, with the reading in air where there is any; outside the record it is said."""
-    given = options.contact_displacement_mm
-    assert given is not None  # noqa: S101  (the caller has looked)
     ends = sorted((signs[0] * float(depth_mm.min()), signs[0] * float(depth_mm.max())))
     where = {"contact_mm": given, "from_mm": ends[0], "to_mm": ends[1]}
     record = f"the record runs from {ends[0]:.4g} to {ends[1]:.4g} mm"
@@ -404,7 +402,7 @@ def _given(
     contact = Contact(
         index=index,
         displacement_mm=given,
-        sd_mm=options.contact_sd_mm,
+        sd_mm=sd_mm,
         baseline_N=signs[1] * float(np.mean(force_N[:index])) if in_record else 0.0,
         in_record=in_record,
     )
@@ -475,7 +473,10 @@ def _start_in_contact(
     loaded = before.ahead_N > PRELOAD_SHARE * float(np.ptp(f))
     if before.believed and loaded and before.contact_mm < start:
         contact = Contact(index=0, displacement_mm=compression * before.contact_mm, sd_mm=before.sd_mm)
-        flags.append(_preload(measured, before.ahead_N, start - before.contact_mm, before.sd_mm))
+        ramp = f", by its ramp {before.ahead_N:.3g} N" if before.ahead_N > measured else ""
+        back = f"contact is {start - before.contact_mm:.3g} mm back, sd {before.sd_mm:.2g} mm"
+        told = {"force_N": before.ahead_N, "before_mm": start - before.contact_mm, "sd_mm": before.sd_mm}
+        flags.append(Flag("preload", f"the record starts under {measured:.3g} N{ramp}; {back}", told))
     else:
         # the first sample is quoted, so its distance from what the force says is part of its sd
         sd = float(np.hypot(before.sd_mm, before.contact_mm - start))
@@ -500,14 +501,6 @@ def _start_in_contact(
         values = {"sd_mm": contact.sd_mm, "travel_mm": float(np.ptp(u))}
         return contact, [*flags, Flag("contact_uncertain", words, values)]
     return contact, flags + _uncertain(contact, u)
-
-
-def _preload(measured_N: float, force_N: float, before_mm: float, sd_mm: float) -> Flag:
-    """The force that a record starts under, as measured, and as its ramp says where that is more."""
-    ramp = f", by its ramp {force_N:.3g} N" if force_N > measured_N else ""
-    back = f"contact is {before_mm:.3g} mm back, sd {sd_mm:.2g} mm"
-    words = f"the record starts under {measured_N:.3g} N{ramp}; {back}"
-    return Flag("preload", words, {"force_N": force_N, "before_mm": before_mm, "sd_mm": sd_mm})
 
 
 def _doubt(air: HingeFit, contact: Contact, u: FloatArray, compression: int) -> float:

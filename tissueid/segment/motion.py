@@ -171,13 +171,10 @@ def corners(time_s: FloatArray, values: FloatArray, *, tolerance: float) -> NDAr
         if last - first < 2:
             continue
         span = time_s[last] - time_s[first]
-        rise = values[last] - values[first]
+        rate = (values[last] - values[first]) / span if span > 0.0 else 0.0
         inside = slice(first + 1, last)
-        if span > 0.0:
-            off = values[inside] - (time_s[inside] - time_s[first]) * (rise / span)
-            off -= values[first]
-        else:
-            off = values[inside] - values[first]
+        off = values[inside] - (time_s[inside] - time_s[first]) * rate
+        off -= values[first]
         low, high = int(off.argmin()), int(off.argmax())
         worst = high if off[high] >= -off[low] else low
         if abs(off[worst]) > tolerance:
@@ -317,7 +314,9 @@ def pieces(path: Path) -> list[Piece]:
         return [Piece(0, 0, last)]
     size = max(1, path.depth_mm.size // BLOCKS)
     held = 1.01 * _held_step(path.depth_mm, _moving(path.depth_mm))  # means of blocks hide it
-    coarse = _coarse(*(_block_means(values, size) for values in (path.time_s, path.depth_mm)), held_mm=held)
+    t, x = (_block_means(values, size) for values in (path.time_s, path.depth_mm))
+    tolerance = _tolerance(max(path_noise(t, x), held), x)
+    coarse = _absorb(_classify(t, x, corners(t, x, tolerance=tolerance), tolerance=tolerance))
     edges = [0, *(min(one.stop * size + size // 2, last) for one in coarse[:-1]), last]
     found = [Piece(one.direction, *span) for one, span in zip(coarse, pairwise(edges), strict=True)]
     return _place_corners(path, _demote_drifting(path, found))
@@ -329,13 +328,6 @@ def _block_means(values: FloatArray, size: int) -> FloatArray:
         return values
     starts = np.arange(0, values.size, size)
     return np.asarray(np.add.reduceat(values, starts) / np.diff(np.append(starts, values.size)))
-
-
-def _coarse(time_s: FloatArray, depth_mm: FloatArray, *, held_mm: float) -> list[_Stretch]:
-    """Moves and standstills, their corners those of the polyline."""
-    tolerance = _tolerance(max(path_noise(time_s, depth_mm), held_mm), depth_mm)
-    knots = corners(time_s, depth_mm, tolerance=tolerance)
-    return _absorb(_classify(time_s, depth_mm, knots, tolerance=tolerance))
 
 
 def _classify(

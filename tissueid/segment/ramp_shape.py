@@ -12,6 +12,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 
+#: Of bins: depth [mm], its variance [mm2], one over the noise of the mean force [1/N], and the force over it.
 _Columns = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 #: Powers of depth in the static curve of every ramp.
@@ -66,48 +67,6 @@ def _products(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, Float
     """Products of what is left of rows, with what they leave in the priors' rows; shape (n, m)."""
     beside = (one[1] * other[1]).sum(axis=-1)
     return np.asarray(np.einsum("nmb,nmb->nm", *np.broadcast_arrays(one[0], other[0])) + beside)
-
-
-class _Squares(NamedTuple):
-    """Linear coefficients of the shape at every (contact, length), and what is left without them."""
-
-    coefficients: FloatArray  # (n, m, k), in their prior sd
-    branch: FloatArray  # (n, m), in its prior sd
-    misfit: FloatArray  # (n, m), chi-square
-    volume: FloatArray  # (n, m), log of prior over posterior volume of all of them
-    slope: FloatArray  # (n, m), variance of the initial slope, in prior variances
-
-
-def ramp_squares(
-    bins: _Columns,
-    prior: FloatArray,
-    scale: float,
-    place: tuple[float, float],
-    contact: FloatArray,
-    length: FloatArray,
-) -> _Squares:
-    """Integrate the linear coefficients out of the shape at every (contact, length).
-
-    ``bins`` (b,): depth [mm], its variance [mm^2], one over the noise of the mean force [1/N], the force over
-    it; ``prior`` (k,), ``scale``: prior sd of the static columns and of the branch [N]; ``place``: window and
-    first displacement [mm]; ``contact`` (n,), ``length`` (n, m).
-    """
-    window, start = place
-    static = _static(bins, prior, contact, window)
-    rise = _branch(bins, np.maximum(contact, start), length, window, scale)
-    force = static.outside(np.broadcast_to(bins[3], (contact.size, 1, bins[3].size)))
-    rose = static.outside(rise)
-    own = 1.0 + _products(rose, rose)
-    unexplained = _products(rose, force)
-    branch = unexplained / own
-    slope = (static.beside[:, :, 0] ** 2).sum(axis=1)[:, None] + (1.0 + rose[1][:, :, 0]) ** 2 / own
-    return _Squares(
-        coefficients=rose[1] * branch[:, :, None] - force[1],
-        branch=branch,
-        misfit=np.maximum(_products(force, force) - unexplained * branch, 0.0),
-        volume=static.volume[:, None] + 0.5 * np.log(own),
-        slope=slope,
-    )
 
 
 #: Bins of equal width next to the centre, on each side, and the growth of those further out.
@@ -226,23 +185,28 @@ class RampShape:
         air = [bend, DRIFT_PRIOR * span, BASELINE_PRIOR * span]
         prior = np.array([scale, bend, bend] + air * self.baseline)
         zero_N = float(bins.force_N[0]) if self.baseline else 0.0
-        squares = ramp_squares(
-            (bins.depth_mm, bins.variance_mm2, weight, (bins.force_N - zero_N) * weight),
-            prior,
-            scale,
-            (window, self.start_mm),
-            np.ascontiguousarray(contact_mm),
-            np.ascontiguousarray(length_mm),
-        )
+        columns = (bins.depth_mm, bins.variance_mm2, weight, (bins.force_N - zero_N) * weight)
+        length = np.ascontiguousarray(length_mm)
+        # the linear coefficients are integrated out; in units of their prior sd
+        static = _static(columns, prior, contact_mm, window)
+        rose = static.outside(_branch(columns, np.maximum(contact_mm, self.start_mm), length, window, scale))
+        force = static.outside(np.broadcast_to(columns[3], (contact_mm.size, 1, columns[3].size)))
+        own, unexplained = 1.0 + _products(rose, rose), _products(rose, force)
+        branch = unexplained / own
+        misfit = np.maximum(_products(force, force) - unexplained * branch, 0.0)
+        coefficients = rose[1] * branch[:, :, None] - force[1]
         known = self.noise_freedom
-        log_density = -0.5 * (known + self.freedom) * np.log1p(squares.misfit / known) - squares.volume
-        first = scale * (squares.coefficients[:, :, 0] + squares.branch) + self.slope_N_per_mm * window
-        log_density += _log_normal_mass(first / (scale * np.sqrt(squares.slope)))
+        log_density = -0.5 * (known + self.freedom) * np.log1p(misfit / known)
+        log_density -= static.volume[:, None] + 0.5 * np.log(own)
+        # the initial slope and its variance, the latter in prior variances
+        first = scale * (coefficients[:, :, 0] + branch) + self.slope_N_per_mm * window
+        spread = (static.beside[:, :, 0] ** 2).sum(axis=1)[:, None] + (1.0 + rose[1][:, :, 0]) ** 2 / own
+        log_density += _log_normal_mass(first / (scale * np.sqrt(spread)))
         log_density -= np.log1p((length_mm / (RESOLVED * self.resolution_mm)) ** 2)
-        static_N = squares.coefficients * prior
+        static_N = coefficients * prior
         if self.baseline:
             static_N[:, :, -1] += zero_N
-        return Posterior(log_density, squares.misfit, static_N, squares.branch * scale)
+        return Posterior(log_density, misfit, static_N, branch * scale)
 
     def slopes(
         self, found: Posterior, mass: FloatArray, contact_mm: FloatArray, length_mm: FloatArray

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import compress
 
 import numpy as np
 
@@ -229,11 +230,6 @@ def _without_broken(phases: tuple[Phase, ...], events: tuple[Event, ...]) -> tup
     return tuple(replace(p, kind="rest") if p.kind == "hold" and p.start > first else p for p in phases)
 
 
-def _shows_depths(depth: FloatArray) -> bool:
-    """True where a move goes in by more than one jump, which does not show where the tissue was met."""
-    return bool(depth[-1] > depth[0]) and np.unique(depth).size >= FEWEST_DEPTHS
-
-
 def _lasting(
     path: Path,
     quiet: list[FloatArray],
@@ -249,10 +245,12 @@ def _lasting(
         [Piece(1, piece.start - start, piece.stop - start) for piece in some if piece.start >= start]
         for some in (moves.before, moves.meeting)
     )
-    shown = [piece for piece in later if _shows_depths(path.depth_mm[start:][piece.start : piece.stop + 1])]
-    # a step between two samples is looked at where nothing else is: what follows it is a hold all the same
-    later = shown or later
     record = [values[start:] for values in (path.time_s, path.depth_mm, path.force_N)]
+    ways = [record[1][piece.start : piece.stop + 1] for piece in later]
+    deep = [bool(way[-1] > way[0]) and np.unique(way).size >= FEWEST_DEPTHS for way in ways]
+    # a jump does not show where the tissue was met, and is looked at where nothing else is: what follows it
+    # is a hold all the same
+    later = list(compress(later, deep)) or later
 
     def located(ratio: float) -> tuple[Contact | None, list[Flag]]:
         contact, flags = locate(*record, later, touches=touches, noise_N=path.noise_N * ratio)

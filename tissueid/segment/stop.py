@@ -223,11 +223,11 @@ def _even_stop_s(
 
 def _middle_line(path: Path, phase: Phase, *, flat: bool) -> Line:
     """Slope and level at t = 0 of the middle half of a phase; of a standing one its late median."""
-    count = phase.stop - phase.start
-    if flat:
-        return 0.0, float(np.median(path.depth_mm[phase.start + count // 2 : phase.stop]))
-    part = slice(phase.start + count // 4, phase.stop - count // 4)
-    return straight_line(path.time_s[part], path.depth_mm[part], flat=False)
+    half, quarter = (phase.stop - phase.start) // 2, (phase.stop - phase.start) // 4
+    part = (
+        slice(phase.start + half, phase.stop) if flat else slice(phase.start + quarter, phase.stop - quarter)
+    )
+    return straight_line(path.time_s[part], path.depth_mm[part], flat=flat)
 
 
 def _ringing(time_s: FloatArray, beyond: FloatArray, tolerance_mm: float) -> tuple[int, float | None]:
