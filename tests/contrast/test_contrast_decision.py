@@ -12,7 +12,6 @@ from scipy.stats import beta, kstest
 
 from tissueid.contrast.decision import (
     LIMITS,
-    Common,
     Compared,
     common_range,
     contrast_document,
@@ -21,6 +20,7 @@ from tissueid.contrast.decision import (
     noticed,
     rows,
 )
+from tissueid.documents.contrast import Common
 from tissueid.errors import UsageError
 from tissueid.model.channels import loading_force
 from tissueid.model.kelvin_voigt import kelvin_voigt

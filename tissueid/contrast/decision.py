@@ -16,20 +16,8 @@ import numpy as np
 
 from tissueid import __version__
 from tissueid.arrays import FloatArray, evenly
+from tissueid.documents import contrast as documents
 from tissueid.documents import plain
-from tissueid.documents.contrast import (
-    Common,
-    Curve,
-    Difference,
-    Hold,
-    Limit,
-    Loading,
-    Noticed,
-    Number,
-    Pair,
-    Quantiles,
-    Tissue,
-)
 from tissueid.errors import refuse
 from tissueid.measured.spread import SAME_SPEED
 from tissueid.model.channels import ChannelModel, loading_force
@@ -54,7 +42,7 @@ def _both(one: Draws, other: Draws) -> Iterator[tuple[str, FloatArray, FloatArra
             yield name, one[name][:count], other[name][:count]
 
 
-def rows(one: Draws, other: Draws) -> list[Number]:
+def rows(one: Draws, other: Draws) -> list[documents.Number]:
     """Numbers that both have, beside each other."""
     found = []
     for name, a, b in _both(one, other):
@@ -63,11 +51,11 @@ def rows(one: Draws, other: Draws) -> list[Number]:
             ratio = _central(np.concatenate([shift / a for shift in shifts]))
         # a tie is half of either
         larger = float(np.mean([np.mean(shift > a) + 0.5 * np.mean(shift == a) for shift in shifts]))
-        found.append(Number(name, _central(one[name]), _central(other[name]), ratio, larger))
+        found.append(documents.Number(name, _central(one[name]), _central(other[name]), ratio, larger))
     return found
 
 
-def difference(one: Draws, other: Draws) -> Difference:
+def difference(one: Draws, other: Draws) -> documents.Difference:
     """Test all forces together: numbers whose names begin with "force", draws by name."""
     pairs = [(a, b) for name, a, b in _both(one, other) if name.startswith("force")]
     a, b = (np.log(np.maximum(of, 1e-12)) for of in zip(*pairs, strict=True))
@@ -79,7 +67,7 @@ def difference(one: Draws, other: Draws) -> Difference:
     apart = np.concatenate([(shift - a).T - gap for shift in _shifted(b)])
     farther = int(np.count_nonzero(np.sum((apart @ root) ** 2, axis=1) >= distance))
     probability = (1 + farther) / (1 + len(apart))
-    return Difference(distance, int(used.sum()), probability, probability < LEVEL)
+    return documents.Difference(distance, int(used.sum()), probability, probability < LEVEL)
 
 
 def _shifted(draws: FloatArray) -> list[FloatArray]:
@@ -88,7 +76,7 @@ def _shifted(draws: FloatArray) -> list[FloatArray]:
     return [np.roll(draws, count * k // 7, axis=-1) for k in range(7)]
 
 
-def _central(values: FloatArray) -> Quantiles:
+def _central(values: FloatArray) -> documents.Quantiles:
     low, middle, high = (float(q) for q in np.quantile(values, CENTRAL))
     return low, middle, high
 
@@ -99,19 +87,21 @@ LEAST_FORCE_N = 0.5
 
 #: Just-noticeable differences: beginning of the numbers, Weber fraction, source and conditions.
 LIMITS = (
-    Limit("force", 0.07, "Jones 1989, Perception 18:681", "10.1068/p180681", "elbow flexors, forces matched"),
-    Limit(
+    documents.Limit(
+        "force", 0.07, "Jones 1989, Perception 18:681", "10.1068/p180681", "elbow flexors, forces matched"
+    ),
+    documents.Limit(
         "static stiffness", 0.23, "Jones & Hunter 1990, Exp Brain Res 79:150", "10.1007/BF00228884",
         "two arms, motors, stiffness matched",
     ),
-    Limit(
+    documents.Limit(
         "viscosity", 0.34, "Jones & Hunter 1993, Exp Brain Res 94:343", "10.1007/BF00230304",
         "two arms, motors, viscosity matched",
     ),
 )  # fmt: skip
 
 
-def noticed(one: Draws, other: Draws, *, force_scale: float) -> list[Noticed]:
+def noticed(one: Draws, other: Draws, *, force_scale: float) -> list[documents.Noticed]:
     """Compare differences with what is noticed, at the scale of a device.
 
     ``one``, ``other``: draws by name; ``force_scale``: force at the device over that of the tissue.  A common
@@ -126,7 +116,7 @@ def noticed(one: Draws, other: Draws, *, force_scale: float) -> list[Noticed]:
         if limit.of == "force":
             middle = np.maximum(middle, LEAST_FORCE_N / force_scale)
         times = np.abs(b - a) / (limit.share * middle)
-        found.append(Noticed(name, limit, float(np.median(times)), float(np.mean(times > 1.0))))
+        found.append(documents.Noticed(name, limit, float(np.median(times)), float(np.mean(times > 1.0))))
     return found
 
 
@@ -161,7 +151,7 @@ class Compared:
         return np.asarray(self.draws[evenly(len(self.draws), MOST_DRAWS)])
 
 
-def common_range(tissues: Sequence[Compared]) -> Common:
+def common_range(tissues: Sequence[Compared]) -> documents.Common:
     """Depths and speeds at which every tissue was identified; without a common speed nothing is compared."""
     slow = max(tissue.speeds_mm_s[0] for tissue in tissues)
     fast = min(tissue.speeds_mm_s[1] for tissue in tissues)
@@ -171,10 +161,10 @@ def common_range(tissues: Sequence[Compared]) -> Common:
             for tissue in tissues
         )
         refuse(f"no speed is common to them ({told}): what the speed does and the tissue can't be told apart")
-    return Common(min(tissue.model.depth_mm for tissue in tissues), (slow, max(slow, fast)))
+    return documents.Common(min(tissue.model.depth_mm for tissue in tissues), (slow, max(slow, fast)))
 
 
-def draws_of_numbers(tissue: Compared, common: Common) -> dict[str, FloatArray]:
+def draws_of_numbers(tissue: Compared, common: documents.Common) -> dict[str, FloatArray]:
     """Draws (n,) of every number that is compared, by its name with unit: positive forces [N] first."""
     draws = tissue.some_draws()
     found: dict[str, FloatArray] = {}
@@ -204,7 +194,7 @@ HOLD_TAUS = 5.0
 HOLD_FROM = 1e-3
 
 
-def force_curves(tissues: list[Compared], common: Common) -> list[Curve]:
+def force_curves(tissues: list[Compared], common: documents.Common) -> list[documents.Curve]:
     """Curves of every tissue on the same depths, speeds and times.
 
     Bands are the 2.5, 50 and 97.5 % quantiles of the force [N]; holds follow the end of the fastest common
@@ -224,7 +214,7 @@ def _longest(tissue: Compared) -> float:
     return float(np.median([tissue.model.times(theta).max() for theta in tissue.draws[:MOST_DRAWS]]))
 
 
-def _of_tissue(tissue: Compared, depth: FloatArray, speeds: list[float], time: FloatArray) -> Curve:
+def _of_tissue(tissue: Compared, depth: FloatArray, speeds: list[float], time: FloatArray) -> documents.Curve:
     draws = tissue.some_draws()
     ramps = np.empty((len(speeds), len(draws), depth.size))
     holds = np.empty((len(draws), time.size))
@@ -234,9 +224,10 @@ def _of_tissue(tissue: Compared, depth: FloatArray, speeds: list[float], time: F
         still = float(tissue.model.static_force(theta, depth[-1:])[0])
         holds[row] = still + tissue.model.relaxing(theta, float(depth[-1]), time, speeds[-1])
     loading = tuple(
-        Loading(speed, tuple(depth.tolist()), *_band(ramps[place])) for place, speed in enumerate(speeds)
+        documents.Loading(speed, tuple(depth.tolist()), *_band(ramps[place]))
+        for place, speed in enumerate(speeds)
     )
-    return Curve(tissue.name, loading, Hold(tuple(time.tolist()), *_band(holds)))
+    return documents.Curve(tissue.name, loading, documents.Hold(tuple(time.tolist()), *_band(holds)))
 
 
 def _band(forces: FloatArray) -> list[tuple[float, ...]]:
@@ -260,9 +251,9 @@ def _remarks(tissues: Sequence[Compared]) -> list[str]:
     return found
 
 
-def _told(one: Compared) -> Tissue:
+def _told(one: Compared) -> documents.Tissue:
     order = (one.model.branches, one.model.stiffness_degree)
-    return Tissue(one.name, *order, len(one.draws), "total" if one.total else "statistical")
+    return documents.Tissue(one.name, *order, len(one.draws), "total" if one.total else "statistical")
 
 
 def contrast_document(
@@ -289,7 +280,7 @@ def contrast_document(
     for i, j in combinations(range(len(tissues)), 2):
         one, other = draws[i], draws[j]
         told = tuple(rows(one, other)), tuple(noticed(one, other, force_scale=scale))
-        pairs.append(Pair(tissues[i].name, tissues[j].name, difference(one, other), *told))
+        pairs.append(documents.Pair(tissues[i].name, tissues[j].name, difference(one, other), *told))
     return {
         "schema": "tissueid/contrast/1",
         "tissueid": __version__,

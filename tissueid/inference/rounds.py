@@ -22,7 +22,7 @@ from tissueid.inference.logs import LogHandle
 from tissueid.inference.system import Point
 from tissueid.inference.trials import Adjustment
 from tissueid.inference.window import SurfaceResponse
-from tissueid.measured.loadings import air_limit
+from tissueid.measured.pushes import air_limit
 
 #: Rounds, each going half as far where the one before did not halve what was left; changes of the parameters,
 #: in standard errors, that count as none and as too much.

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.measured.loadings import first_of_test, first_turn, mean_speed, measured_surface
-from tissueid.measured.pushes import usable_until
+from tissueid.measured.pushes import first_of_test, first_turn, mean_speed, measured_surface, usable_until
 from tissueid.signal_noise import chain_breaks
 from tissueid.trial import RENDERED, Phase, Segmentation, Trial, contact_frame
 

@@ -12,17 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.documents.measured import (
-    Base,
-    Measured,
-    MeasuredDepth,
-    MeasuredForce,
-    MeasuredHold,
-    MeasuredLoop,
-    MeasuredPeak,
-    MeasuredPush,
-    MeasuredTau,
-)
+from tissueid.documents import measured as documents
 from tissueid.measured.cycles import cycle_rows
 from tissueid.measured.geometry import Geometry, modulus_of
 from tissueid.measured.pushes import HELD, Move, braking_before, move_before, moves, peak_of, usable_until
@@ -89,7 +79,7 @@ class _Record:
 
     trial: Trial
     segmentation: Segmentation
-    base: Base
+    base: documents.Base
     force_N: FloatArray
     depth_mm: FloatArray
 
@@ -98,12 +88,14 @@ class _Record:
         return self.base.recorded_N + self.segmentation.force_sign * force_N
 
 
-def measure(trial: Trial, segmentation: Segmentation, *, geometry: Geometry | None = None) -> Measured:
+def measure(
+    trial: Trial, segmentation: Segmentation, *, geometry: Geometry | None = None
+) -> documents.Measured:
     """Measure a recording, no model."""
     record = _record(trial, segmentation)
     phases = segmentation.phases
     pushes = [_push(record, move, geometry) for move in moves(phases)]
-    return Measured(
+    return documents.Measured(
         base=record.base,
         push=max(pushes, key=lambda one: one.peak.force_N, default=None),
         holds=tuple(
@@ -128,21 +120,21 @@ def _record(trial: Trial, segmentation: Segmentation) -> _Record:
     )
 
 
-def _base(trial: Trial, segmentation: Segmentation) -> Base:
+def _base(trial: Trial, segmentation: Segmentation) -> documents.Base:
     """The reading in air, else the force at rest before the first move, else the record's own zero."""
     contact = segmentation.contact
     if contact is not None and contact.in_record:
-        return Base(contact.baseline_N, "air")
+        return documents.Base(contact.baseline_N, "air")
     moving = next((phase for phase in segmentation.phases if phase.speed_mm_s != 0.0), None)
     # the last sample at rest is the first of the move
     if moving is not None and moving.start >= LEAST_REST:
-        return Base(float(np.median(trial.force_N[: moving.start])), "rest")
+        return documents.Base(float(np.median(trial.force_N[: moving.start])), "rest")
     if contact is not None and contact.baseline_N != 0.0:  # of rows at rest, where tissue can't pull
-        return Base(contact.baseline_N, "rest")
-    return Base(0.0, "recorded")
+        return documents.Base(contact.baseline_N, "rest")
+    return documents.Base(0.0, "recorded")
 
 
-def _push(record: _Record, move: Move, geometry: Geometry | None) -> MeasuredPush:
+def _push(record: _Record, move: Move, geometry: Geometry | None) -> documents.MeasuredPush:
     trial, segmentation, phases = record.trial, record.segmentation, record.segmentation.phases
     start, moving = phases[move.first].start, phases[move.moving].start
     at, force = peak_of(trial.time_s, record.force_N, segmentation, move.last + 1)
@@ -150,7 +142,7 @@ def _push(record: _Record, move: Move, geometry: Geometry | None) -> MeasuredPus
     start_s, stop_s = float(trial.time_s[start]), float(trial.time_s[move.stop])
     held = phases[move.last + 1] if move.last + 1 < len(phases) else None
     last = held.stop - 1 if held is not None and held.kind == "hold" else None
-    return MeasuredPush(
+    return documents.MeasuredPush(
         start_s=start_s,
         stop_s=stop_s,
         ramp_time_s=stop_s - start_s,
@@ -158,13 +150,13 @@ def _push(record: _Record, move: Move, geometry: Geometry | None) -> MeasuredPus
         travel_mm=depth - float(record.depth_mm[moving]),
         depth_mm=None if segmentation.contact is None else depth,
         braking_s=braking_before(segmentation, move),
-        peak=MeasuredPeak(float(trial.time_s[at]), force, record.recorded(force)),
+        peak=documents.MeasuredPeak(float(trial.time_s[at]), force, record.recorded(force)),
         modulus=modulus_of(trial, segmentation, slice(start, move.stop + 1), last, geometry),
         forces=() if segmentation.contact is None else _loading(record, slice(start, move.stop + 1)),
     )
 
 
-def _loading(record: _Record, inside: slice) -> tuple[MeasuredDepth, ...]:
+def _loading(record: _Record, inside: slice) -> tuple[documents.MeasuredDepth, ...]:
     """Forces at the last round depths of a loading, as :func:`force_at` of depths that grow."""
     depth, force = record.depth_mm[inside], record.force_N[inside]
     grown = np.append(True, depth[1:] > np.maximum.accumulate(depth)[:-1])
@@ -177,11 +169,11 @@ def _loading(record: _Record, inside: slice) -> tuple[MeasuredDepth, ...]:
     for one in [depth_mm for depth_mm in asked if depth_mm <= WITHIN * deepest][-MOST_DEPTHS:]:
         found, sd, _ = force_at(depth[grown], force[grown], one, record.segmentation.force_noise_N)
         if found is not None and sd is not None:
-            rows.append(MeasuredDepth(one, found, sd))
+            rows.append(documents.MeasuredDepth(one, found, sd))
     return tuple(rows)
 
 
-def _hold(record: _Record, number: int, geometry: Geometry | None) -> MeasuredHold:
+def _hold(record: _Record, number: int, geometry: Geometry | None) -> documents.MeasuredHold:
     segmentation, phase = record.segmentation, record.segmentation.phases[number]
     move = move_before(segmentation.phases, number)
     push = None if move is None else _push(record, move, geometry)
@@ -189,7 +181,7 @@ def _hold(record: _Record, number: int, geometry: Geometry | None) -> MeasuredHo
     # the sample that a hold shares with the next move may belong to that
     shared = number + 1 < len(segmentation.phases) and phase.stop - phase.start > 2
     last = phase.stop - 1 - int(shared)
-    return MeasuredHold(
+    return documents.MeasuredHold(
         start_s=phase.start_s,
         end_s=phase.end_s,
         control="position" if position else "force",
@@ -203,8 +195,8 @@ def _hold(record: _Record, number: int, geometry: Geometry | None) -> MeasuredHo
 
 
 def _forces(
-    record: _Record, number: int, phase: Phase, push: MeasuredPush | None
-) -> tuple[MeasuredForce, ...]:
+    record: _Record, number: int, phase: Phase, push: documents.MeasuredPush | None
+) -> tuple[documents.MeasuredForce, ...]:
     """Forces at the stated times after the stop."""
     trial, noise = record.trial, record.segmentation.force_noise_N
     peak = peak_of(trial.time_s, record.force_N, record.segmentation, number)
@@ -222,7 +214,7 @@ def _forces(
         later, _, _ = said(peak.at, wanted)
         over_10s = None if force is None or not reference or reference <= 0.0 else force / reference
         rows.append(
-            MeasuredForce(
+            documents.MeasuredForce(
                 time_s=wanted,
                 after_stop_N=force,
                 sd_N=sd,
@@ -237,7 +229,7 @@ def _forces(
     return tuple(rows)
 
 
-def _tau(record: _Record, phase: Phase) -> MeasuredTau | None:
+def _tau(record: _Record, phase: Phase) -> documents.MeasuredTau | None:
     """Relaxation times from the stop to the end of the hold."""
     inside = slice(phase.start, phase.stop)
     found = hold_ladder(record.trial.time_s[inside], record.force_N[inside], EXPONENTIALS)
@@ -245,7 +237,7 @@ def _tau(record: _Record, phase: Phase) -> MeasuredTau | None:
         return None
     single, half = found.single_s, found.half_s
     slope = None if single is None or half is None else float(np.log(single / half) / np.log(2.0))
-    return MeasuredTau(
+    return documents.MeasuredTau(
         window_s=(phase.start_s, phase.end_s),
         single_s=single,
         double_s=found.taus_s[1],
@@ -254,9 +246,9 @@ def _tau(record: _Record, phase: Phase) -> MeasuredTau | None:
     )
 
 
-def _loops(trial: Trial, segmentation: Segmentation) -> tuple[MeasuredLoop, ...]:
+def _loops(trial: Trial, segmentation: Segmentation) -> tuple[documents.MeasuredLoop, ...]:
     return tuple(
-        MeasuredLoop(
+        documents.MeasuredLoop(
             row.number,
             row.kind,
             row.peak_depth_mm,
