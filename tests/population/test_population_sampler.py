@@ -255,8 +255,7 @@ def stage_and_design(own: np.ndarray) -> tuple[StageOne, Design]:
     common = rng.standard_normal((MANY, 1))
     places = places + 0.1 * (0.8 * common + 0.6 * rng.standard_normal((MANY, NUMBERS)))
     places[OUTLIER] += [0.9, -0.9, 0.9]
-    names = tuple(f"d{k}" for k in range(8))
-    design = Design(np.column_stack([np.ones(MANY), x]), ("mean", "x"), donor[None, :], ("donor",), (names,))
+    design = Design(np.column_stack([np.ones(MANY), x]), ("mean", "x"), donor[None, :], ("donor",))
     return normal_stage(places, own, rng, draws=1500), design
 
 

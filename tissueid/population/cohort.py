@@ -211,7 +211,7 @@ def effect_rows(
             continue
         scale = design.scales.get(title)
         if scale is not None:
-            add(coefficient[:, a], title, None, None, scale[1])
+            add(coefficient[:, a], title, None, None, scale)
         else:
             key, group = title.split(": ", 1)
             add(coefficient[:, a], key, group, "the largest group", None)

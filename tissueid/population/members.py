@@ -224,7 +224,7 @@ def design_of(members: Sequence[Member], group_by: str | None, covariates: Seque
     """Columns and random effects of a cohort."""
     columns, names = [np.ones(len(members))], ["mean"]
     compared: tuple[str, ...] = ()
-    scales: dict[str, tuple[float, float]] = {}
+    scales: dict[str, float] = {}
     missing: dict[str, tuple[str, ...]] = {}
     if group_by is not None:
         more, titles, compared = _indicators(_values(members, group_by), group_by)
@@ -242,20 +242,19 @@ def design_of(members: Sequence[Member], group_by: str | None, covariates: Seque
         mean, sd = float(np.nanmean(numbers)), float(np.nanstd(numbers))
         if not sd > 0.0:
             refuse(f"all specimens have {key} = {mean:g}: it explains nothing")
-        scales[key] = (mean, sd)
+        scales[key] = sd
         missing[key] = tuple(
             one.specimen for one, value in zip(members, values, strict=True) if value is None
         )
         columns.append(np.where(np.isnan(numbers), 0.0, (numbers - mean) / sd))
         names.append(key)
     levels = _levels(members, {group_by, *covariates})
-    group = np.array([index for _, _, index in levels], dtype=np.int64).reshape(len(levels), len(members))
+    group = np.array([*levels.values()], dtype=np.int64).reshape(len(levels), len(members))
     return Design(
         columns=np.column_stack(columns),
         column_names=tuple(names),
         group=group,
-        levels=tuple(key for key, _, _ in levels),
-        groups=tuple(found for _, found, _ in levels),
+        levels=tuple(levels),
         group_by=group_by,
         compared=compared,
         scales=scales,
@@ -263,11 +262,9 @@ def design_of(members: Sequence[Member], group_by: str | None, covariates: Seque
     )
 
 
-def _levels(
-    members: Sequence[Member], taken: set[str | None]
-) -> list[tuple[str, tuple[str, ...], list[int]]]:
-    """Random effects: keys with several groups of which one at least has several specimens."""
-    found = []
+def _levels(members: Sequence[Member], taken: set[str | None]) -> dict[str, list[int]]:
+    """Random effects, with the group of each member: several groups, of which one at least has several."""
+    found = {}
     for key in LEVELS:
         if key in taken:
             continue
@@ -276,8 +273,7 @@ def _levels(
             str(one.covariates.get(key)) if one.covariates.get(key) is not None else f"{NOT_STATED} {k}"
             for k, one in enumerate(members)
         ]
-        groups = tuple(dict.fromkeys(names))
-        if 1 < len(groups) < len(members):
-            index = {name: k for k, name in enumerate(groups)}
-            found.append((key, groups, [index[name] for name in names]))
+        index = {name: k for k, name in enumerate(dict.fromkeys(names))}
+        if 1 < len(index) < len(members):
+            found[key] = [index[name] for name in names]
     return found

@@ -248,7 +248,22 @@ def sample_population(
         found = _diagnosed(record, hyper)
         if _met(found):
             break
-    return _gathered(chains, record, worths(stage, pilot), found)
+    nu = np.exp(record.of("log_nu"))
+    return PopulationDraws(
+        coefficient=record.of("coefficient"),
+        level_sd=np.exp(record.of("level_log_sd")),
+        sd=np.exp(record.of("log_sd")),
+        correlation=record.of("correlation"),
+        nu=nu if hyper.heavy else np.full_like(nu, np.inf),
+        specimens=np.concatenate(record.phi).astype(np.float64),
+        far=record.mean("far"),
+        deviation=record.mean("deviation"),
+        worth=worths(stage, pilot),
+        smoothed=chains.cohort.smooth,
+        diagnostics=found,
+        converged=_met(found),
+        chains=chains,
+    )
 
 
 def typical_without(
@@ -267,24 +282,3 @@ def typical_without(
     _run(chains.branched(begin, used, rng), SHORT_SETTLE, SHORT_SWEEPS, record)
     coefficient = record.of("coefficient")
     return np.median(coefficient.reshape(len(folds), -1, *coefficient.shape[2:]), axis=1)
-
-
-def _gathered(
-    chains: Chains, record: Record, worth: FloatArray, found: dict[str, Diagnostics]
-) -> PopulationDraws:
-    nu = np.exp(record.of("log_nu"))
-    return PopulationDraws(
-        coefficient=record.of("coefficient"),
-        level_sd=np.exp(record.of("level_log_sd")),
-        sd=np.exp(record.of("log_sd")),
-        correlation=record.of("correlation"),
-        nu=nu if chains.hyper.heavy else np.full_like(nu, np.inf),
-        specimens=np.concatenate(record.phi).astype(np.float64),
-        far=record.mean("far"),
-        deviation=record.mean("deviation"),
-        worth=worth,
-        smoothed=chains.cohort.smooth,
-        diagnostics=found,
-        converged=_met(found),
-        chains=chains,
-    )

@@ -212,11 +212,9 @@ class Design:
     column_names: tuple[str, ...]  # ``mean``, then the covariates
     group: IntArray  # (L, n), each specimen's group within each level
     levels: tuple[str, ...] = ()
-    groups: tuple[tuple[str, ...], ...] = ()  # names of the groups of each level
     group_by: str | None = None
     compared: tuple[str, ...] = ()  # its groups; the first is the one that others are compared with
-    #: Numeric covariate -> (mean, sd) it was standardised with.
-    scales: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    scales: Mapping[str, float] = field(default_factory=dict)  # numeric covariate -> its standard deviation
     #: Covariate -> specimens that do not state it and were given its mean.
     missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
@@ -343,7 +341,7 @@ def packed(stage: StageOne, design: Design, pilot: Pilot, known: dict[int, Mixtu
             phi = np.asarray(stage.phi[i], np.float64)
             known[i] = mixture_of(phi, stage.log_reference[i], stage.linear)
     weighted = [_weights(stage, pilot, i) for i in range(count)]
-    sizes = [len(one) for one in design.groups]
+    sizes = [int(one.max()) + 1 for one in design.group]
     return Cohort(
         phi=np.concatenate(stage.phi).astype(np.float32),
         log_reference=np.concatenate([one - np.max(one) for one in stage.log_reference]).astype(np.float32),
