@@ -19,7 +19,15 @@ from tissueid.haptics import parameter_block as pb
 from tissueid.haptics import ring as rings
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.parameter_block import ParameterBlock
-from tissueid.haptics.ring import CAPACITY, HEAD_BYTES, RECORD, Ring, read_ordered, write_ordered
+from tissueid.haptics.ring import (
+    CAPACITY,
+    HEAD_BYTES,
+    PUBLISHED_AT,
+    RECORD,
+    Ring,
+    read_ordered,
+    write_ordered,
+)
 from tissueid.haptics.shared_hand import SIM_PARAMETERS, SharedHand
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice, simulated_advance
 from tissueid.rendering.servo import ServoPlan
@@ -94,7 +102,8 @@ def write(ring: Ring, first: int, count: int) -> None:
     for tick in range(first, first + count):
         # more than one field of a record is the tick, so that a torn record shows
         record[["tick", "energy_J", "label"]] = tick, tick, tick % 2**16
-        ring.append(record)
+        ring.records[ring.published % ring.records.size] = record
+        write_ordered(ring.head, PUBLISHED_AT, ring.published + 1)
 
 
 class TestRing:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import python, until
-from live_server import record, served
+from live_server import append, record, served
 from rendered_session import Session, drag_down, heard, now, wait
 from session_heads import head_of
 
@@ -239,7 +239,7 @@ def test_a_dent_that_its_tool_has_left_goes_back_as_the_records_say(chromium):
             one["depth_mm"], one["surface_mm"], one["force_N"] = depth_mm, surface_mm, (0.0, 0.0, force_N)
             # ten times what the clamp lets through
             one["tissue_force_N"] = 10.0 * force_N / head_of()["scale"]["force_scale"]
-            live.ring.append(one)
+            append(live.ring, one)
 
         wait(page, lambda now: abs(now["surface"] - 15.0) < 1e-3, lambda: tell(3.0, 3.0, 0.5))
         page.locator("#tag-force", has_text="0.50 N on the hand").wait_for()

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import python, until
-from live_server import Live, client, frame_of, greeted, record, served
+from live_server import Live, append, client, frame_of, greeted, record, served
 from rendered_session import Session
 from rendered_tissues import PAPER_A, bundle_of
 from session_heads import head_of, indentation, records_of, summary_of
@@ -123,7 +123,7 @@ def test_the_process_hears_its_owner_line_by_line(ring, hand):
         ours.sendall(data[40:])
         assert json.loads(one.recv(10))["type"] == "hello"
         assert json.loads(one.recv(10)) == {"type": "status", "one": 1}
-        ring.append(record(3))
+        append(ring, record(3))
         assert frame_of(one).samples["tick"].tolist() == [3]
         ours.sendall(b'{"end": true}\n')
         assert frame_of(one).ended

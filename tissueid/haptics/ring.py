@@ -152,12 +152,6 @@ class Ring(Shared):
         """Records written since the ring was made."""
         return read_ordered(self.head, PUBLISHED_AT)
 
-    def append(self, record: NDArray[Any]) -> None:
-        """Write one record from Python; the servo does the same compiled."""
-        count = self.published
-        self.records[count % self.records.size] = record
-        write_ordered(self.head, PUBLISHED_AT, count + 1)
-
     def read_only(self) -> int:
         """A new descriptor of the memory through which nobody can write."""
         return os.open(f"/proc/self/fd/{self.descriptor}", os.O_RDONLY | os.O_CLOEXEC)
