@@ -7,6 +7,7 @@ what air dissipated pays for nothing.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -201,22 +202,26 @@ def drawn_session(seed: int, *, pool_size: int, controller: bool = False) -> Fig
     depth = rng.uniform(0.1, 1.0) * tissue.model.depth_mm * MOTION_SCALE * 1e-3
     # a slow press would take minutes to the bottom, and 40 mm in 30 ms is no hand but an overspeed
     depth = min(depth, {"slow press": 2e-3, "step": 0.02}.get(hand, depth))
+    arm = Arm(mass_kg=rng.uniform(0.15, 0.4), damping_N_s_per_m=damping, friction_N=rng.uniform(0.05, 0.1))
+    held, shake = 2.0 * rng.uniform(0.2, 0.8) * np.sqrt(stiffness * 0.25), rng.uniform(5e-5, 5e-4)
+    hz, phase, rest_s = rng.uniform(6.0, 12.0), rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.1, 0.7)
     device = SimulatedDevice(
         LIMITS,
-        arm=Arm(mass_kg=rng.uniform(0.15, 0.4), damping_N_s_per_m=damping, friction_N=rng.uniform(0.05, 0.1)),
-        hand=preset(
-            hand,
-            surface_m=np.array(CENTRE_M),
-            inward=INWARD,
-            depth_m=depth,
-            speed_m_per_s=speed,
+        arm=arm,
+        hand=replace(
+            preset(
+                hand,
+                surface_m=np.array(CENTRE_M),
+                inward=INWARD,
+                depth_m=depth,
+                speed_m_per_s=speed,
+                rest_s=rest_s,
+            ),
             stiffness_N_per_m=stiffness,
-            damping_N_s_per_m=2.0 * rng.uniform(0.2, 0.8) * np.sqrt(stiffness * 0.25),
-            tremor_m=rng.uniform(5e-5, 5e-4),
-            tremor_hz=rng.uniform(6.0, 12.0),
-            tremor_phase=rng.uniform(0.0, 2.0 * np.pi),
-            rest_s=rng.uniform(0.1, 0.7),
-            stay_s=1.0,
+            damping_N_s_per_m=held,
+            tremor_m=shake if hand == "tremor" else 0.0,
+            tremor_hz=hz,
+            tremor_phase=phase,
         ),
         quantum_m=rng.uniform(40e-6, 90e-6),
         delay_ticks=delay,
@@ -264,10 +269,8 @@ def wall(*, controller: bool) -> Figures:
     """Figures of a light hand that taps an elastic wall far beyond the bound of its device."""
     model = kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=8.0)
     tissue = Tissue(model, np.array([250.0, 0.0, 0.0]), (1.0, 10.0))
-    hand = preset(
-        "tap", surface_m=np.array(CENTRE_M), inward=INWARD, depth_m=0.004, stiffness_N_per_m=200.0,
-        damping_N_s_per_m=0.1, rest_s=0.6,
-    )  # fmt: skip
+    hand = preset("tap", surface_m=np.array(CENTRE_M), inward=INWARD, depth_m=0.004, rest_s=0.6)
+    hand = replace(hand, stiffness_N_per_m=200.0, damping_N_s_per_m=0.1)
     device = SimulatedDevice(
         LIMITS, arm=Arm(damping_N_s_per_m=0.0, friction_N=0.0), hand=hand, delay_ticks=2.0
     )

@@ -28,6 +28,8 @@ DEFAULT_MASS_KG = 0.25
 CLEARANCE_M = 0.003
 #: Time of rest before a hand moves [s]: longer than the guard's start-up ramp.
 REST_S = 1.2
+#: Amplitude of a tremor [m].
+TREMOR_M = 2e-4
 #: A step of the hand takes this time [s]: faster is a blow, which the overspeed rule is for.
 STEP_S = 0.03
 MM = 1e-3
@@ -115,32 +117,19 @@ def preset(
     inward: FloatArray,
     depth_m: float,
     speed_m_per_s: float = 0.02,
-    stiffness_N_per_m: float = DEFAULT_STIFFNESS,
-    damping_N_s_per_m: float | None = None,
-    tremor_m: float = 2e-4,
-    tremor_hz: float = 10.0,
-    tremor_phase: float = 0.0,
     rest_s: float = REST_S,
     stay_s: float = 1.0,
 ) -> Hand:
     """One of :data:`PRESETS` about a point of the surface [m], ``inward`` a unit vector into the tissue.
 
-    ``depth_m``: of the target, which the grip stays above by force over stiffness; ``damping_N_s_per_m``:
-    half the critical one of 0.25 kg where none is given.  Raises UsageError: there is no preset of that name.
+    ``depth_m``: of the target, which the grip stays above by force over stiffness.  Raises UsageError: there
+    is no preset of that name.
     """
     if name not in PRESETS:
         refuse(f"there is no hand {printable(name)!r}; hands are {', '.join(PRESETS)}")
     times, depths, grips = _targets(name, depth_m, speed_m_per_s, rest_s, stay_s)
-    if damping_N_s_per_m is None:
-        damping_N_s_per_m = 2.0 * DAMPING_RATIO * math.sqrt(stiffness_N_per_m * DEFAULT_MASS_KG)
-    return replace(
-        along(surface_m, inward, times, np.array(depths), grips),
-        stiffness_N_per_m=stiffness_N_per_m,
-        damping_N_s_per_m=damping_N_s_per_m,
-        tremor_m=tremor_m if name == "tremor" else 0.0,
-        tremor_hz=tremor_hz,
-        tremor_phase=tremor_phase,
-    )
+    hand = along(surface_m, inward, times, np.array(depths), grips)
+    return replace(hand, tremor_m=TREMOR_M) if name == "tremor" else hand
 
 
 def _targets(

@@ -13,8 +13,7 @@ import pickle
 import select
 import socket
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
@@ -147,7 +146,7 @@ class ServoEnd:
 def send_plan(descriptor: int, plan: ServoPlan, ring: int, block: int, *hand: int) -> None:
     """Send a plan and the descriptors of the shared memories through the owner's socket."""
     data = pickle.dumps(plan)
-    with _socket(descriptor) as there:
+    with socket.socket(fileno=os.dup(descriptor)) as there:
         socket.send_fds(there, [len(data).to_bytes(_LENGTH_BYTES, "little")], [ring, block, *hand])
         there.sendall(data)
 
@@ -155,7 +154,7 @@ def send_plan(descriptor: int, plan: ServoPlan, ring: int, block: int, *hand: in
 def receive_plan(descriptor: int) -> tuple[ServoPlan, list[int]]:
     """The plan and this process's own descriptors (ring, block, hand); EOFError where the owner died."""
     data = b""
-    with _socket(descriptor) as there:
+    with socket.socket(fileno=os.dup(descriptor)) as there:
         head, shared, _, _ = socket.recv_fds(there, _LENGTH_BYTES, 3)
         if len(head) < _LENGTH_BYTES:
             raise EOFError
@@ -170,22 +169,10 @@ def receive_plan(descriptor: int) -> tuple[ServoPlan, list[int]]:
     return plan, shared
 
 
-@contextmanager
-def _socket(descriptor: int) -> Iterator[socket.socket]:
-    """The socket behind a descriptor, which stays open."""
-    there = socket.socket(fileno=descriptor)
-    try:
-        yield there
-    finally:
-        there.detach()
-
-
 def send_line(descriptor: int, **words: Any) -> None:
     """One line of JSON; nothing happens where nobody reads any more."""
-    try:
+    with contextlib.suppress(BrokenPipeError):
         os.write(descriptor, json.dumps(words).encode() + b"\n")
-    except BrokenPipeError:
-        return
 
 
 #: Longest time to the first tick without homing [s]: compiling on a slow machine takes half of it.

@@ -70,11 +70,7 @@ def spawn_servo() -> SpawnedServo:
     return SpawnedServo(process, ours.detach(), report)
 
 
-def _main() -> int:
+if __name__ == "__main__":
     from tissueid.rendering.servo_process import main
 
-    return main(sys.argv[1:])
-
-
-if __name__ == "__main__":
-    sys.exit(_main())
+    sys.exit(main(sys.argv[1:]))

@@ -29,7 +29,6 @@ from tissueid.rendering.servo_spawn import SpawnedServo
 from tissueid.rendering.servo_tick import servo_here
 from tissueid.rendering.session_plan import PERIOD_S, SessionPlan
 from tissueid.rendering.surface import SURFACE_SIZE, TOOL_RADIUS
-from tissueid.rendering.tissue_block import Plane
 
 #: Pause between two turns of the owner's loop [s]: a twentieth of the heartbeat's limit.
 TURN_S = 0.02
@@ -195,15 +194,13 @@ class Session:
             self._engage = request.engage
         if request.tissue is not None and request.tissue < len(self._blocks):
             self._wanted = request.tissue
-        if request.plane is not None:
-            self._move(request.plane)
-
-    def _move(self, plane: Plane) -> None:
-        """Put every tissue behind another plane."""
+        if request.plane is None:
+            return
+        # every tissue lies behind the other plane
         for block in self._blocks:
             if block[BLOCK_KIND] == TISSUE:
                 radius_m = float(block[SURFACE + TOOL_RADIUS])
-                block[SURFACE : SURFACE + SURFACE_SIZE] = plane.numbers(radius_m)
+                block[SURFACE : SURFACE + SURFACE_SIZE] = request.plane.numbers(radius_m)
         self._changed = True
 
     def _over(self) -> bool:
