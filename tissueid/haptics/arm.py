@@ -53,10 +53,9 @@ class Arm:
             msg = f"mass_kg and substep_s must be positive, are {self.mass_kg} and {self.substep_s}"
             raise ValueError(msg)
         if not (self.damping_N_s_per_m >= 0.0 and self.friction_N >= 0.0):
-            msg = (
+            raise ValueError(
                 f"damping and friction can't be negative, are {self.damping_N_s_per_m} and {self.friction_N}"
             )
-            raise ValueError(msg)
 
     def block(self) -> FloatArray:
         """Parameters of an arm that no hand holds, shape (ARM_PARAMETERS,); a hand writes itself into it."""

@@ -235,11 +235,10 @@ def weigh(device: HapticDevice, mass_kg: float, hang: Callable[[], None]) -> Wei
     difference = float(np.mean(loaded) - np.mean(empty))
     error = math.sqrt((np.var(loaded, ddof=1) + np.var(empty, ddof=1)) / PERIODS)
     if not difference > 4.0 * error:
-        msg = (
+        raise DeviceError(
             f"the mass was not felt: the grip was held with {np.mean(empty):.2f} N without it and "
             f"{np.mean(loaded):.2f} N with it; does it hang freely on the grip?"
         )
-        raise DeviceError(msg)
     held = float(np.mean(empty)), float(np.mean(loaded))
     return Weighing(*held, weight, difference / weight, error / weight)
 
@@ -259,11 +258,10 @@ def _held(device: HapticDevice) -> FloatArray:
     clamp = device.limits.clamp_N
     clipped = np.mean(np.linalg.norm(motion.force_N, axis=1) > NEARLY * clamp)
     if clipped > MOST_CLIPPED:
-        msg = (
+        raise DeviceError(
             f"the grip needs the whole {clamp:.2f} N that the guard allows, {100 * clipped:.0f} % of the "
             f"time: {LIGHTER}"
         )
-        raise DeviceError(msg)
     begins = APPROACH_S + PERIOD_S * np.arange(SETTLING, SETTLING + PERIODS)
     return np.array([_means(motion, begin, begin + PERIOD_S)[1, UP] for begin in begins])
 

@@ -68,11 +68,10 @@ def _loaded(kind: str, name: str, load: Callable[[], Any]) -> Any:
         return load()
     # a plug-in may fail in any way while it is imported, and its author needs to read how
     except Exception as error:
-        msg = (
+        raise DeviceError(
             f"{kind} {name!r} is installed but can't be loaded ({type(error).__name__}: {error}); "
             "repair or remove the distribution that provides it"
-        )
-        raise DeviceError(msg) from error
+        ) from error
 
 
 def device_class(name: str) -> type[HapticDevice]:

@@ -175,11 +175,10 @@ class SimulatedDevice(HapticDevice):
         limits = limits or GuardLimits.simulated()
         super().__init__(carried(limits) if hand is not None and hand.rigid else limits)
         if not (quantum_m > 0.0 and period_s > 0.0 and 0.0 <= delay_ticks <= QUEUE_LENGTH - 2):
-            msg = (
+            raise ValueError(
                 f"a simulated device needs a positive quantum and period, and a delay of 0 to "
                 f"{QUEUE_LENGTH - 2} ticks; they are {quantum_m}, {period_s} and {delay_ticks}"
             )
-            raise ValueError(msg)
         self.arm = arm or Arm()
         self.hand = hand or Hand((0.0,), (CENTRE_M,), (1.0,))
         self.period_s = period_s

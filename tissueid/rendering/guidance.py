@@ -36,18 +36,16 @@ def hyperboloid_constants(radius_m: float, offset_m: float, slope: float) -> tup
     hyperboloid has these numbers.
     """
     if not (radius_m > 0.0 and offset_m >= 0.0 and slope > 0.0):
-        msg = (
+        raise ValueError(
             "a funnel needs a radius and a slope above 0 and an offset of 0 or more, "
             f"got {radius_m}, {slope} and {offset_m}"
         )
-        raise ValueError(msg)
     square = radius_m**2 - (slope * offset_m) ** 2
     if not square > 0.0:
         closed = radius_m / slope
-        msg = (
+        raise ValueError(
             f"a slope of {slope} closes a funnel of {radius_m} m at {closed:.4g} m, above offset {offset_m} m"
         )
-        raise ValueError(msg)
     throat = math.sqrt(square)
     return throat, offset_m, throat / slope
 

@@ -238,12 +238,11 @@ def check_guidance(plan: Guidance, demands: Demands) -> tuple[Guidance, Guidance
         else:
             high = middle
     if low * plan.pull.near_N_per_m < min(LEAST_N_PER_M, plan.pull.near_N_per_m):
-        msg = (
+        raise DeviceError(
             f"this guidance can't be rendered on this device: it needs {planned:.3g} N s/m of damping at "
             f"{demands.delay_ticks:g} ticks, the device has {demands.damping_N_s_per_m:.3g}, and weakened to "
             f"that its pull would be {low * plan.pull.near_N_per_m:.2g} N/m, under {LEAST_N_PER_M:g}; "
             "measure the device's damping and delay (tissueid devices calibrate-damping, test), or soften it"
         )
-        raise DeviceError(msg)
     lowered = weaker(plan, low)
     return lowered, GuidanceCheck(low, planned, needed_damping(lowered, demands), demands)

@@ -53,10 +53,9 @@ class PassivityLimits:
             if not 0.0 <= value < math.inf:
                 raise ValueError(f"{entry.name} must be finite and not negative, is {value}")
         if self.largest_change_N > LARGEST_CHANGE_ALLOWED_N:
-            msg = (
+            raise ValueError(
                 f"largest_change_N is {self.largest_change_N}, at most {LARGEST_CHANGE_ALLOWED_N} is allowed"
             )
-            raise ValueError(msg)
 
     def block(self) -> FloatArray:
         """The limits for the kernel, shape (CONTROL_SIZE,)."""

@@ -203,20 +203,18 @@ def _affordable(tissue: Tissue, wanted: Scaling, need: float, demands: Demands, 
         f"device's {demands.damping_N_s_per_m:.3g} may be counted on"
     )
     if asked:
-        msg = (
+        raise DeviceError(
             f"--force-scale {wanted.force:.4g} would be unstable: it {numbers}; the largest that fits at "
             f"motion scale {wanted.motion:g} is {ROUNDED_DOWN * largest:.4g} "
             f"(measured/{1.0 / max(largest, 1e-12):.4g}), or raise --motion-scale"
         )
-        raise DeviceError(msg)
     lowered = scaling_at(tissue, force=largest, motion=wanted.motion) if largest > 0.0 else wanted
     if not largest > 0.0 or lowered.peak_force_N < SMALLEST_PEAK_N:
-        msg = (
+        raise DeviceError(
             f"this tissue can't be felt on this device: the scale that fits its clamp {numbers}, and lowered "
             f"to that it would peak at {lowered.peak_force_N if largest > 0.0 else 0.0:.2g} N, under "
             f"{SMALLEST_PEAK_N:g} N; raise --motion-scale, or measure the device's damping and delay"
         )
-        raise DeviceError(msg)
     return lowered
 
 

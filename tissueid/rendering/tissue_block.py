@@ -88,10 +88,9 @@ class Box:
     def __post_init__(self) -> None:
         widths = np.asarray(self.half_widths_m)
         if not (np.isfinite(self.centre_m).all() and np.isfinite(widths).all() and (widths > 0.0).all()):
-            msg = (
+            raise ValueError(
                 f"a box needs a centre and half widths above 0, got {self.centre_m} and {self.half_widths_m}"
             )
-            raise ValueError(msg)
 
     def numbers(self, tool_radius_m: float) -> FloatArray:
         """The block of :mod:`tissueid.rendering.surface`."""
@@ -242,30 +241,27 @@ def surface_remarks(tissue: Tissue, shape: Shape, tip_radius_mm: float | None) -
             "the bundle does not say with which tip it was identified: what is felt is that tip's force"
         )
     elif known is not None and tip_radius_mm is not None and abs(tip_radius_mm - known) > SAME_TIP * known:
-        msg = (
+        raise BundleError(
             f"the tissue was identified with a tip of {known:g} mm radius: its law does not hold for "
             f"{tip_radius_mm:g} mm; leave --tip-radius out, or fit recordings made with that tip"
         )
-        raise BundleError(msg)
     depth = tissue.model.depth_mm
     kind, sizes = shape
     if kind == "plane":
         return remarks
     if min(sizes) < SMALLEST_DEPTHS * depth:
-        msg = (
+        raise BundleError(
             f"a {kind} of {min(sizes):g} mm is too small for a tissue identified to {depth:.3g} mm; "
             f"make it at least {SMALLEST_DEPTHS * depth:.3g} mm"
         )
-        raise BundleError(msg)
     length = known or tip_radius_mm or depth
     if kind == "sphere":
         loss = 1.0 - math.sqrt(sizes[0] / (sizes[0] + length))
         if loss > REFUSED_LOSS:
-            msg = (
+            raise BundleError(
                 f"on a sphere of {sizes[0]:g} mm the contact would be {100.0 * loss:.0f} % softer (Hertz) "
                 "than on the flat specimen it was identified on; choose a larger one"
             )
-            raise BundleError(msg)
         if loss > REMARKED_LOSS:
             remarks.append(
                 f"identified on a flat specimen: on a sphere of {sizes[0]:g} mm real tissue would be about "

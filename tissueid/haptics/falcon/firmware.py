@@ -74,11 +74,10 @@ def find_firmware(path: str | os.PathLike[str] | None = None) -> Firmware:
     """The file that was named here or by :data:`VARIABLE`; DeviceError if none is, or it can't be one."""
     named = os.fspath(path) if path is not None else os.environ.get(VARIABLE)
     if not named:
-        msg = (
+        raise DeviceError(
             "the Falcon runs no firmware, and no firmware file was named. It can't be shipped with tissueid:"
             f" take the one of your vendor's driver and name it with --firmware FILE or ${VARIABLE}"
         )
-        raise DeviceError(msg)
     file = Path(named)
     try:
         content = file.read_bytes()
@@ -126,10 +125,9 @@ def upload(transport: Transport, content: bytes, progress: Progress) -> None:
         transport.write(chunk)
         # called at once, while the chunk is this one
         if _read_until(transport, lambda got: len(got) >= len(chunk), ECHO_WAIT_S) != chunk:  # noqa: B023
-            msg = (
+            raise UploadError(
                 f"the echo of bytes {start} to {start + len(chunk) - 1} of the firmware is missing or differs"
             )
-            raise UploadError(msg)
         progress("firmware", start + len(chunk), len(content))
     transport.set_latency(LATENCY_RUN_MS)
     transport.set_baud(BAUD_RUN)
@@ -172,11 +170,10 @@ def ensure_running(
         transport.close()
         raise
     transport.close()
-    msg = (
+    raise DeviceError(
         f"the firmware could not be loaded in {attempt} tries; the last: {reason}. Take the Falcon off its "
         "power for ten seconds, plug it into a port of the computer itself (no hub), and try again"
     )
-    raise DeviceError(msg)
 
 
 def _say_hello(transport: Transport) -> None:

@@ -73,11 +73,10 @@ class Sdk:
         self.library.dhdGetSDKVersion(*map(byref, numbers))
         version = tuple(number.value for number in numbers)
         if version[:2] < OLDEST:
-            msg = (
+            raise DeviceError(
                 f"the Force Dimension SDK at {self.path} is {'.'.join(map(str, version))}; "
                 f"{'.'.join(map(str, OLDEST))} or newer is needed"
             )
-            raise DeviceError(msg)
         self.identity = -1
 
     def open_falcon(self) -> None:
@@ -128,11 +127,10 @@ def _load() -> tuple[str, Any]:
             return name, ctypes.CDLL(name)
         except OSError:
             continue
-    msg = (
+    raise DeviceError(
         "the Force Dimension SDK is not installed, or in none of the usual places: set FDSDK to its folder, "
         f"or {LIBRARY_VARIABLE} to libdrd.so"
     )
-    raise DeviceError(msg)
 
 
 #: Bits of the SDK's mask.

@@ -39,11 +39,10 @@ def require_force_sensor(name: str) -> str:
     """The device that a name stands for; DeviceError where it has no force sensor, UsageError without it."""
     found = choose_device(name).name
     if not hasattr(device_class(found), "sensed_force_N"):
-        msg = (
+        raise DeviceError(
             f"{found} has no force sensor: the adaptive controller moves the device by the measured force of "
             "the hand. Feel the tissue with `tissueid render`, which needs none, or take --device sim"
         )
-        raise DeviceError(msg)
     return found
 
 
