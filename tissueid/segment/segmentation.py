@@ -12,31 +12,14 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.digits import clock_start
 from tissueid.flags import Flag
+from tissueid.segment import endings, stop
 from tissueid.segment.contact import UNCERTAIN_SHARE, find_contact
-from tissueid.segment.endings import (
-    aborts,
-    cycle_flags,
-    ending_flags,
-    load_limits,
-    loops_of,
-    pull_off,
-    with_creep,
-)
 from tissueid.segment.memory import long_run_ratio, quiet_stretches, swing_of, without_slow
 from tissueid.segment.motion import Path, Piece, leaves_line, pieces, quickens
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.phases import Surface, name_phases, settled
 from tissueid.segment.rupture import rupture_flags, ruptures
 from tissueid.segment.signs import drift_in_air, signs
-from tissueid.segment.stop import (
-    corner_flags,
-    corners_of,
-    placed_stops,
-    settlings,
-    speed_flags,
-    travel_line,
-    with_braking,
-)
 from tissueid.signal_noise import FEWEST_CHANGES, white_noise_sd, without_spikes
 from tissueid.trial import RENDERED, Contact, Event, Phase, Protocol, Segmentation, Trial
 
@@ -78,7 +61,7 @@ def _ending(path: Path, phase: Phase, at: int) -> Phase:
     """A phase that ends at a sample."""
     speed = phase.speed_mm_s
     if speed != 0.0:
-        speed, _ = travel_line(path.time_s, path.depth_mm, phase.start, at)
+        speed, _ = stop.travel_line(path.time_s, path.depth_mm, phase.start, at)
     return replace(phase, stop=at + 1, end_s=float(path.time_s[at]), speed_mm_s=speed)
 
 
@@ -170,7 +153,7 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
         return Segmentation(compression, force_sign, None, (), noise, (*flags, *few))
     depth = without_spikes(depth, noise=white_noise_sd(time_s, depth, fewest=FEWEST_CHANGES))
     path = Path.of(time_s, depth, force, noise)
-    found = with_creep(path, placed_stops(path, settled(path, pieces(path), options)))
+    found = endings.with_creep(path, stop.placed_stops(path, settled(path, pieces(path), options)))
     locate = partial(find_contact, signs=(compression, force_sign), options=options)
     quiet = quiet_stretches(time_s, force, found)
     path = replace(path, swing_N=swing_of(quiet))
@@ -195,12 +178,12 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
     phases = _without_broken(phases, events)
     if options.hold_from_s is not None:
         phases = held_from_here(path, phases, options.hold_from_s)
-    phases = with_braking(path, phases)
-    events = tuple(sorted((*events, *settlings(path, phases)), key=lambda event: event.index))
+    phases = stop.with_braking(path, phases)
+    events = tuple(sorted((*events, *stop.settlings(path, phases)), key=lambda event: event.index))
     divided = replace(divided, phases=phases)
-    corners = corners_of(path, phases)
-    flags += contact_flags + remarks + corner_flags(path, phases, corners)
-    flags += speed_flags(phases, trial.protocol.speed_mm_s)
+    corners = stop.corners_of(path, phases)
+    flags += contact_flags + remarks + stop.corner_flags(path, phases, corners)
+    flags += stop.speed_flags(phases, trial.protocol.speed_mm_s)
     flags += drift_in_air(time_s, trial.force_N, phases, contact)
     return replace(divided, flags=tuple(flags), corners=corners, events=events)
 
@@ -359,7 +342,7 @@ def _remarks(
     phases, contact = divided.phases, divided.contact
     events: list[Event] = []
     flags: list[Flag] = []
-    loops = loops_of(path, phases)
+    loops = endings.loops_of(path, phases)
     baseline = 0.0
     if contact is not None:
         baseline = divided.force_sign * contact.baseline_N
@@ -369,12 +352,12 @@ def _remarks(
             broken = ruptures(path, loading, zero)
             flags += rupture_flags(broken, clock_start(path.time_s[0]))
             events += broken
-        endings = aborts(path, phases, protocol)
-        endings += load_limits(path, phases, loops, zero=zero, stated_N=protocol.load_limit_N)
-        flags += ending_flags(endings)
-        flags += pull_off(path, surface_mm=zero[0])
-        events += endings
-    flags += cycle_flags(loops, before_test=divided.test > 0, baseline_N=baseline)
+        ended = endings.aborts(path, phases, protocol)
+        ended += endings.load_limits(path, phases, loops, zero=zero, stated_N=protocol.load_limit_N)
+        flags += endings.ending_flags(ended)
+        flags += endings.pull_off(path, surface_mm=zero[0])
+        events += ended
+    flags += endings.cycle_flags(loops, before_test=divided.test > 0, baseline_N=baseline)
     flags += _missing(phases)
     return tuple(sorted(events, key=lambda event: event.index)), flags
 
