@@ -224,15 +224,12 @@ def planned(machine: Machine, tissues: Tissues, asked: Asked, progress: Progress
             f"no protocol of {asked.repeats} repeats fits a machine time of {asked.budget_s / 60:.3g} min "
             f"with {asked.setup_s:g} s to mount and {asked.recovery_s:g} s of rest: allow a larger --budget"
         )
-    finalists = _finalists(pools, progress)
-    ranked = _ranked(machine, tissues, asked, finalists, progress)
+    ranked = _ranked(machine, tissues, asked, _finalists(pools, progress), progress)
     best = next(ledger for ledger in ledgers if ledger.setting == ranked[0].setting)
-    front = _front(best, progress)
-    limits = () if ranked[0].reached else limits_of(best, progress)
     return Plan(
         ranked=tuple(ranked[:LISTED]),
-        front=front,
-        limits=limits,
+        front=_front(best, progress),
+        limits=() if ranked[0].reached else limits_of(best, progress),
         paths=sum(ledger.computed for ledger in ledgers),
         protocols=looked,
     )

@@ -214,8 +214,7 @@ class _Centred:
 
     def _gains(self, points: Sequence[FloatArray]) -> FloatArray:
         weights = np.stack([self.basis.weights(point)[0] for point in points])
-        inner = self.gram[:-1, :-1]
-        gram = weights.transpose(0, 2, 1) @ (inner @ weights)
+        gram = weights.transpose(0, 2, 1) @ (self.gram[:-1, :-1] @ weights)
         return _amplitudes(gram, self.gram[:-1, -1] @ weights)[1]
 
     def _amplitudes(self, log_tau: FloatArray) -> FloatArray:

@@ -197,8 +197,7 @@ class Ledger:
 
     def given(self, key: str, words: str, note: str) -> Item:
         """A printed number that is an input: nothing is computed beside it."""
-        row = self.item(key, None, said=Said(words), note=note)
-        return Item(**structs.asdict(row) | {"kind": "given"})
+        return structs.replace(self.item(key, None, said=Said(words), note=note), kind="given")
 
     def claim(
         self, key: str, said: Said, value: float, holds: Callable[[float], bool], rule: str,

@@ -142,8 +142,7 @@ def hold_exponential(time_s: FloatArray, force_N: FloatArray) -> tuple[float, fl
 
 def elastic_imitation(ledger: Ledger, readings: Readings, depth: int) -> str:
     """Overshoot and settling time of a crosshead that give a printed relaxation time without any branch."""
-    key = f"table-1/tau-{depth}mm"
-    branch = read_branch(ledger, readings, key)
+    branch = read_branch(ledger, readings, f"table-1/tau-{depth}mm")
     if readings.relaxation == "rate":
         return "not looked for: the time would be longer than the record"
     static = cubic_through_peaks(ledger, branch)

@@ -114,8 +114,7 @@ def run_rupture(
             else:
                 tests.append((test, trial.contact_offset_mm))
         failures += failures_of(law, tests, weight=weight)
-    found = rupture_study(failures, weight=weight, asked=asked)
-    return RuptureRun(found, identification, tuple(left_out))
+    return RuptureRun(rupture_study(failures, weight=weight, asked=asked), identification, tuple(left_out))
 
 
 def _refuse_yardstick(name: str) -> None:

@@ -209,11 +209,10 @@ def rupture_study(failures: Sequence[Failure], *, weight: float, asked: str = "n
     """Describe and compare."""
     broken = [one for one in failures if one.ruptured]
     if len(broken) < FEWEST_RUPTURES:
-        msg = (
+        raise NotIdentifiedError(
             f"{len(broken)} of {len(failures)} tests end in a rupture, and {FEWEST_RUPTURES} are needed; "
             "`tissueid inspect` shows where the force falls, and `rupture = false` in an override denies one"
         )
-        raise NotIdentifiedError(msg)
     names = list(dict.fromkeys(one.specimen for one in broken))
     confounding = confounding_of(
         [[one.speed_mm_s for one in broken if one.specimen == name] for name in names]

@@ -176,10 +176,9 @@ def of_bundle(bundle: Bundle, *, where: str) -> tuple[Protocol, Centre]:
     """Tissue of a bundle, and a ramp-and-hold program within its depth and speeds."""
     model = bundle.contact_model()
     if not bundle.parameters or model.fixed_s.size:
-        msg = (
+        raise BundleError(
             f"{where}: {bundle.model.key} can't be checked: its times follow the recordings; fit another law"
         )
-        raise BundleError(msg)
     tau = model.times(np.asarray(bundle.theta))
     slow, fast = bundle.speeds_mm_s
     slow, fast = (slow, fast) if fast > 0.0 else (1.0, 1.0)

@@ -240,13 +240,6 @@ class Asked:
     seed: int
 
 
-def _priors(check: TissueCheck) -> list[Prior]:
-    words = prior_words(
-        check.priors, correlated=check.correlated, pooling=check.pooling, defects=check.defects
-    )
-    return [Prior(name, said, name in check.stated) for name, said in words.items()]
-
-
 def _protocol(protocol: Protocol) -> documents.Protocol:
     logs, contact_sd_mm = protocol.logs, max(log.contact_sd_mm for log in protocol.logs)
     times, (slow, fast) = (protocol.step_s, protocol.duration_s), protocol.speeds_mm_s
@@ -260,6 +253,9 @@ def check_document(
     """The document of ``schemas/selfcheck.schema.json``, and the verdict behind it."""
     verdict = verdict_of(records)
     good = [record for record in records if record.failed is None]
+    words = prior_words(
+        check.priors, correlated=check.correlated, pooling=check.pooling, defects=check.defects
+    )
     return {
         "schema": "tissueid/selfcheck/1",
         "source": members(asked, documents.Source),
@@ -272,7 +268,7 @@ def check_document(
         "noise": plain(documents.Noise(check.noise_model, check.white_share, check.reference_step_s)),
         "interval": "total" if check.defects else "statistical",
         "protocol": plain(_protocol(protocol)),
-        "priors": plain(_priors(check)),
+        "priors": plain([Prior(name, said, name in check.stated) for name, said in words.items()]),
         "simulations": {
             "asked": asked.simulations,
             "done": len(records),

@@ -233,8 +233,7 @@ def _header(log: SyntheticLog, dialect: Dialect) -> list[str]:
     words = LANGUAGES[dialect.language]
     entries = [(words.label, log.specimen, ""), (words.note, "synthetic data", "")]
     if log.truth["speed_mm_s"] > 0.0:
-        rate = _number(60.0 * log.truth["speed_mm_s"], 5, dialect)
-        entries.append((words.rate, rate, "mm/min"))
+        entries.append((words.rate, _number(60.0 * log.truth["speed_mm_s"], 5, dialect), "mm/min"))
     if dialect.language != "en":
         entries.append((words.depth, _number(log.truth["depth_mm"], 5, dialect), "mm"))
         entries.append((words.hold, _number(log.truth["hold_s"], 5, dialect), "s"))

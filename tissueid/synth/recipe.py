@@ -183,8 +183,7 @@ def _problem(recipe: Recipe) -> str | None:
 def load_recipe(path: str | Path) -> Recipe:
     """Read a recipe from a TOML file."""
     try:
-        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        return _from_table(table)
+        return _from_table(tomllib.loads(Path(path).read_text(encoding="utf-8")))
     except OSError as error:
         message = f"can't be read ({error.strerror}); give a recipe file or a built-in name"
         raise InputError(code="unreadable", message=message, path=str(path)) from error
