@@ -92,8 +92,15 @@ def measure(
     trial: Trial, segmentation: Segmentation, *, geometry: Geometry | None = None
 ) -> documents.Measured:
     """Measure a recording, no model."""
-    record = _record(trial, segmentation)
-    phases = segmentation.phases
+    base, contact, phases = _base(trial, segmentation), segmentation.contact, segmentation.phases
+    zero = float(trial.displacement_mm[0]) if contact is None else contact.displacement_mm
+    record = _Record(
+        trial,
+        segmentation,
+        base,
+        segmentation.force_sign * (trial.force_N - base.recorded_N),
+        segmentation.compression_sign * (trial.displacement_mm - zero),
+    )
     pushes = [_push(record, move, geometry) for move in moves(phases)]
     return documents.Measured(
         base=record.base,
@@ -104,19 +111,6 @@ def measure(
             if phase.kind in HELD and phase.end_s > phase.start_s
         ),
         loops=_loops(trial, segmentation),
-    )
-
-
-def _record(trial: Trial, segmentation: Segmentation) -> _Record:
-    base = _base(trial, segmentation)
-    contact = segmentation.contact
-    zero = float(trial.displacement_mm[0]) if contact is None else contact.displacement_mm
-    return _Record(
-        trial,
-        segmentation,
-        base,
-        segmentation.force_sign * (trial.force_N - base.recorded_N),
-        segmentation.compression_sign * (trial.displacement_mm - zero),
     )
 
 

@@ -488,9 +488,12 @@ def _start_in_contact(
         contact = Contact(
             index=0, displacement_mm=compression * start, sd_mm=sd, baseline_N=force_sign * zero
         )
+    # a start in air after all is taken as equally likely beforehand: in contact, or a contact on the ramp
+    odds = air.at_start * float(u.max() - u[0]) / (np.sqrt(2.0 * np.pi) * max(air.sd_mm, 1e-300))
+    apart = abs(compression * contact.displacement_mm - air.contact_mm)
+    doubt = float(apart * np.sqrt(odds) / (1.0 + odds))
     # nobody knows less of it than that it lies somewhere along the travel
-    doubt = min(float(np.hypot(contact.sd_mm, _doubt(air, contact, u, compression))), float(np.ptp(u)))
-    contact = replace(contact, sd_mm=doubt)
+    contact = replace(contact, sd_mm=min(float(np.hypot(contact.sd_mm, doubt)), float(np.ptp(u))))
     message = "the record shows no samples in air before contact"
     if air.contact_mm - start > DOUBTFUL_SD * air.sd_mm:
         later = f"from one after {air.contact_mm - start:.3g} mm in air; the start is taken"
@@ -501,16 +504,6 @@ def _start_in_contact(
         values = {"sd_mm": contact.sd_mm, "travel_mm": float(np.ptp(u))}
         return contact, [*flags, Flag("contact_uncertain", words, values)]
     return contact, flags + _uncertain(contact, u)
-
-
-def _doubt(air: HingeFit, contact: Contact, u: FloatArray, compression: int) -> float:
-    """Addition of a start in air after all to the sd of a contact at the start, or before it [mm].
-
-    A start in contact and a contact anywhere on the ramp are taken as equally likely beforehand.
-    """
-    odds = air.at_start * float(u.max() - u[0]) / (np.sqrt(2.0 * np.pi) * max(air.sd_mm, 1e-300))
-    apart = abs(compression * contact.displacement_mm - air.contact_mm)
-    return float(apart * np.sqrt(odds) / (1.0 + odds))
 
 
 def _uncertain(contact: Contact, u: FloatArray) -> list[Flag]:

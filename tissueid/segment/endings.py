@@ -283,23 +283,16 @@ def aborts(path: Path, phases: tuple[Phase, ...], protocol: Protocol) -> list[Ev
         return [Event("abort", end, float(path.time_s[end]), values)]
     if phases[-1] is not last:
         return []
-    earlier = _earlier_mm(path, phases)
-    own = float(path.depth_mm[end] - path.depth_mm[last.start]) if not cycles else reached
-    if len(earlier) >= FEWEST_EARLIER and own < EARLIER_SHARE * min(earlier):
-        return [Event("abort", end, float(path.time_s[end]), values | {"earlier_mm": min(earlier)})]
-    return []
-
-
-def _earlier_mm(path: Path, phases: tuple[Phase, ...]) -> list[float]:
-    """Peak depths of the loops before a last ramp, or else the travels of the steps before it [mm]."""
-    peaks = [float(path.depth_mm[p.peak] - path.depth_mm[0]) for p in phases if p.peak is not None]
-    if peaks:
-        return peaks
-    return [
+    # depths of the loops before a last ramp, or else the travels of the steps before it
+    earlier = [float(path.depth_mm[p.peak] - path.depth_mm[0]) for p in phases if p.peak is not None] or [
         float(path.depth_mm[ramp.stop - 1] - path.depth_mm[ramp.start])
         for ramp, after in pairwise(phases)
         if ramp.kind == "ramp" and after.kind == "hold"
     ]
+    own = float(path.depth_mm[end] - path.depth_mm[last.start]) if not cycles else reached
+    if len(earlier) >= FEWEST_EARLIER and own < EARLIER_SHARE * min(earlier):
+        return [Event("abort", end, float(path.time_s[end]), values | {"earlier_mm": min(earlier)})]
+    return []
 
 
 def load_limits(

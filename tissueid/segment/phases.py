@@ -76,11 +76,11 @@ def settled(path: Path, found: list[Piece], options: SegmentOptions) -> list[Pie
     for k, piece in enumerate(calm):
         if piece.direction == 0 and result:
             after = calm[k + 1] if k + 1 < len(calm) else None
-            rounded = after is not None and _turns_round(path, (result[-1], piece, after))
+            rounded = after is not None and _turns_round(path, result[-1], piece, after)
             if not _long_enough(path, piece, result[-1], options, rounded=rounded):
                 stop = piece.stop
                 if after is not None and after.direction == -result[-1].direction:
-                    stop = _turn(path, (result[-1], piece, after))
+                    stop = _turn(path, result[-1], piece, after)
                     calm[k + 1] = replace(after, start=stop)
                 result[-1] = replace(result[-1], stop=stop)
                 continue
@@ -91,9 +91,8 @@ def settled(path: Path, found: list[Piece], options: SegmentOptions) -> list[Pie
     return result
 
 
-def _turn(path: Path, around: tuple[Piece, Piece, Piece]) -> int:
+def _turn(path: Path, before: Piece, stand: Piece, after: Piece) -> int:
     """The sample at which a move turns, given the short standstill there."""
-    before, stand, after = around
     within = (before.start + before.stop) // 2, (after.start + after.stop) // 2
     at = (stand.start + stand.stop) // 2
     turn = corner_near(path, at, within, stands=(False, False))
@@ -108,9 +107,8 @@ def _goes_on(path: Path, before: Piece, after: Piece) -> bool:
     return fast <= SPEED_RATIO * slow
 
 
-def _turns_round(path: Path, around: tuple[Piece, Piece, Piece]) -> bool:
+def _turns_round(path: Path, before: Piece, stand: Piece, after: Piece) -> bool:
     """True where a standstill between two opposite moves is the crest of a rounded turn."""
-    before, stand, after = around
     if before.direction * after.direction >= 0:
         return False
     took = stand.took_s(path)

@@ -74,11 +74,13 @@ def ruptures(path: Path, loading: list[Piece], zero: tuple[float, float]) -> lis
             continue
         steady = running_median(force)
         move = replace(inside, time_s=path.time_s[span], depth_mm=inside.depth_mm[span], force_N=steady)
-        slowed = _slower_than_before(path, piece, loading)
+        # a move that goes on from a faster one without a stop: the branch relaxes to the lower speed
+        before = next((one for one in loading if one.stop == piece.start), None)
+        slowed = before is not None and piece.speed(path) < before.speed(path)
         until = _steady_until(path, piece, loading)
         for fall in _falls(steady, least):
             if slowed and fall.top < 2 * MEDIAN_SAMPLES:
-                continue  # the branch relaxes to the lower speed
+                continue
             found = _judge(move, fall, least)
             if found is None:
                 continue
@@ -122,12 +124,6 @@ def _event(inside: Path, start: int, found: tuple[int, int], steady_N: FloatArra
     }
     kind = "slip" if made_good and drop <= SLIP_SHARE * before else "rupture"
     return Event(kind, at, float(inside.time_s[at]), values)
-
-
-def _slower_than_before(path: Path, piece: Piece, loading: list[Piece]) -> bool:
-    """True where a move goes on from a faster one without a stop."""
-    before = next((one for one in loading if one.stop == piece.start), None)
-    return before is not None and piece.speed(path) < before.speed(path)
 
 
 def _falls(force: FloatArray, least_N: float) -> list[_Fall]:

@@ -157,14 +157,13 @@ STOPPED = (*STANDING, "creep", "retract")
 def corners_of(path: Path, phases: tuple[Phase, ...]) -> tuple[Corner, ...]:
     """The corner at the end of each ramp that stops or turns."""
     return tuple(
-        _corner(path, (k, before, after))
+        _corner(path, k, before, after)
         for k, (before, after) in enumerate(pairwise(phases))
         if before.kind == "ramp" and after.kind in STOPPED
     )
 
 
-def _corner(path: Path, at: tuple[int, Phase, Phase]) -> Corner:
-    number, before, after = at
+def _corner(path: Path, number: int, before: Phase, after: Phase) -> Corner:
     low, high = (before.start + before.stop - 1) // 2, after.stop - 1
     if after.kind in STANDING and after.stop < path.time_s.size:
         high -= 1  # the sample shared with the next move, in which that move may have begun
