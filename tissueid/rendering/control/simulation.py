@@ -210,10 +210,7 @@ def sigma_at(block: LoopBlock, time: float) -> float:
 @kernel()
 def length_of(vector: FloatArray) -> float:
     """Length of a vector."""
-    square = 0.0
-    for one in vector:
-        square += one * one
-    return math.sqrt(square)
+    return math.sqrt((vector * vector).sum())
 
 
 @kernel()
@@ -308,7 +305,7 @@ def command(
 #: A device that is farther away than this has diverged [m].
 LARGEST_M = 10.0
 #: Columns of a row, in the order of :class:`ControlRun`: after the time so many of n numbers, then of one.
-VECTORS, SCALARS = 9, 4
+VECTORS, SCALARS = 8, 4
 
 
 class Loop(NamedTuple):
@@ -364,7 +361,7 @@ def run_loop(loop: Loop, c: Controller, noise: FloatArray, out: FloatArray) -> i
         terms = (sent.rho, sent.robust, unknown)
         V, rate = lyapunov(block, terms, loop.truth, c.estimates, loop.gains)
         scalars = np.array([before, sigma_at(block, time), V, rate])
-        vectors = (x, v, xe, ve, sensed, sent.u, sent.rho, push, disturbed)
+        vectors = (x, v, xe, ve, sensed, sent.u, sent.rho, push)
         out[tick] = np.concatenate((np.array([time]), *vectors, scalars, c.estimates))
         adapt(block, sent.Y, sent.rho, loop.gains, loop.bounds, block.period_s, c.estimates)
         hand = _advance_plant(loop, time, sent.u, x, v)
@@ -387,11 +384,10 @@ class ControlRun:
     tool_position_m: FloatArray
     tool_velocity_m_s: FloatArray  # (rows, n)
     hand_force_N: FloatArray  # (rows, n), as the controller reads it
-    #: (rows, n): u, rho (of where the tool will be at the end of the period), F* and d.
+    #: (rows, n): u, rho (of where the tool will be at the end of the period) and F*.
     control_force_N: FloatArray
     rho_m_s: FloatArray  # (rows, n)
     push_N: FloatArray  # (rows, n)
-    disturbance_N: FloatArray  # (rows, n)
     #: (rows,): force of the tissue, sigma(t), V of (I-1) and the right side of (I-4).
     environment_force_N: FloatArray
     sigma: FloatArray  # (rows,)
