@@ -140,21 +140,18 @@ def _targets(
     if name == "slow press":
         clear = -5e-5  # a slow hand starts where it nearly touches, or it would take seconds to arrive
     arrival = rest_s + (STEP_S if name == "step" else (depth_m - clear) / speed_m_per_s)
-    times = [0.0, rest_s, arrival]
-    depths = [clear, clear, depth_m]
-    grips = [1.0, 1.0, 1.0]
+    times, depths = [0.0, rest_s, arrival], [clear, clear, depth_m]
     if name == "tap":
         times, depths = [0.0, rest_s], [clear, clear]
         for beat in range(max(1, math.ceil(4.0 * stay_s))):
             times += [rest_s + 0.25 * beat + part for part in (0.06, 0.10, 0.16, 0.249)]
             depths += [depth_m, depth_m, clear, clear]
         times, depths = times[: layout.MAX_KNOTS], depths[: layout.MAX_KNOTS]
-        grips = [1.0] * len(times)
     elif name == "release":
         times.append(arrival + 0.5 * stay_s)
         depths.append(depth_m)
-        grips.append(0.0)
-    return [*times, times[-1] + stay_s], [*depths, depths[-1]], [*grips, grips[-1]]
+    last = 0.0 if name == "release" else 1.0
+    return [*times, times[-1] + stay_s], [*depths, depths[-1]], [*[1.0] * (len(times) - 1), last, last]
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,7 +48,6 @@ def members_of(
         known.pop("specimen", None)
         drawn = {(one.path, one.sheet): one.curve for one in curves if place in with_curves}
         validity = entry.validity
-        slowest, fastest = validity.speeds_mm_s
         rows = []
         for one in entry.trials:
             where = one.path, one.sheet
@@ -62,7 +61,7 @@ def members_of(
                 **_draws(posterior, most, key=entry.model.key),
                 covariates=known,
                 trials=tuple(rows),
-                speeds_mm_s=(slowest, fastest),
+                speeds_mm_s=validity.speeds_mm_s,
                 tip_radius_mm=validity.tip_radius_mm,
                 sigma_N=entry.sigma_N,
                 units=structs.asdict(entry.units),

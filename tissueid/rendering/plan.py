@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,6 +32,7 @@ from tissueid.rendering.options import (
 )
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.precheck import Precheck, check_before_force, demands_of
+from tissueid.rendering.scene import Scene
 from tissueid.rendering.session_plan import (
     RAMP_S,
     BlindOrder,
@@ -82,13 +82,13 @@ def plan_session(options: RenderOptions) -> SessionPlan:
     """Decide everything, or refuse with the way out: UsageError, BundleError, DeviceError."""
     if options.seconds is not None and not 0.0 < options.seconds < math.inf:
         refuse(f"--seconds is {options.seconds:g}, must be above 0 and finite")
-    guided = options.scene is not None and options.scene.guidance is not None
-    if guided or options.environment is not None:
+    scene, guidance = options.scene, None if options.scene is None else options.scene.guidance
+    if guidance is not None or options.environment is not None:
         _must_be_alone(options)
         asked = _asked(options)
         _must_fit(asked, None)
-        if guided:
-            return guided_session(asked)
+        if scene is not None and guidance is not None:
+            return guided_session(asked, scene, guidance)
         # of an installed force law nothing is known: no tissue, no scale, no precheck
         block = np.concatenate([free_air_block(), PassivityLimits(on=options.control).block()])
         line = f"law        {options.environment}: nothing is known of its stability"
@@ -119,7 +119,7 @@ def plan_session(options: RenderOptions) -> SessionPlan:
     led = options.led and script is None and asked.choice.name == SIMULATED
     if led:
         given |= _waiting_at(touch_m - REST_M * inward)
-    of_scene = () if options.scene is None else options.scene.lines()
+    of_scene = () if scene is None else scene.lines()
     return _planned(
         asked,
         (surface.numbers(radius_m), hashes),
@@ -160,19 +160,19 @@ def _tissues(
         if (options.draw, options.quantile, options.draw_specimen) != (None, None, None):
             refuse("--draw, --quantile and --draw-specimen choose among a bundle's draws; a preset has none")
         first = Picked(preset_tissue(options.preset), None, f"preset {options.preset}")
-        bundle = None
+        bundle, own = None, None
     else:
         assert options.bundle is not None  # noqa: S101 -- one of the two is given
-        bundle = load_bundle(options.bundle)
+        bundle, own = load_bundle(options.bundle), sha256_of(options.bundle)
         first = _pick(bundle, options.draw, options.quantile, functional, options.draw_specimen)
     compared = (options.against, options.against_draw, options.against_quantile)
     if all(one is None for one in compared):
-        return (first,), (_digest(options.bundle),)
+        return (first,), (own,)
     other = bundle if options.against is None else load_bundle(options.against)
     if other is None:
         refuse("--against-draw and --against-quantile choose from a bundle; give one, or --against BUNDLE")
     second = _pick(other, options.against_draw, options.against_quantile, functional)
-    return (first, second), (_digest(options.bundle), _digest(options.against or options.bundle))
+    return (first, second), (own, own if options.against is None else sha256_of(options.against))
 
 
 def _pick(
@@ -192,10 +192,6 @@ def _pick(
         return pick_quantile(bundle, quantile, functional)
     why = "the typical tissue of the population" if bundle.is_population else "theta of the bundle"
     return Picked(as_tissue(bundle), None, why)
-
-
-def _digest(path: Path | None) -> str | None:
-    return None if path is None else sha256_of(path)
 
 
 def _asked(options: RenderOptions) -> _Asked:
@@ -377,20 +373,17 @@ def _must_be_alone(options: RenderOptions) -> None:
 BEGIN_M = 0.03
 
 
-def guided_session(asked: _Asked) -> SessionPlan:
+def guided_session(asked: _Asked, scene: Scene, guidance: Guidance) -> SessionPlan:
     """A session with guidance along a planned axis; DeviceError where none that could be felt is stable.
 
     The passivity controller only watches: what the pull stored before the hand engaged would count as
     energy that was made.
     """
-    options, scene = asked.options, asked.options.scene
-    assert scene is not None  # noqa: S101 -- asked by the caller
-    assert scene.guidance is not None  # noqa: S101 -- asked by the caller
-    plan = _carried(scene.guidance, asked.device, assumed="weight" in scene.assumed)
+    plan = _carried(guidance, asked.device, assumed="weight" in scene.assumed)
     guidance, check = check_guidance(plan, demands_of(asked.device.capabilities))
     block = np.concatenate([guidance_block(guidance), PassivityLimits(on=False).block()])
     lines = (*scene.lines(), *_told_of(guidance), *check.lines())
-    if options.led:
+    if asked.options.led:
         asked.given.update(_waiting_at(np.array(guidance.entry_m) + BEGIN_M * guidance.unit_axis()))
     return _without_tissue(asked, block, lines, guided=True)
 

@@ -28,7 +28,6 @@ ROUNDING, ROUNDED_DOWN = 1e-9, 0.9995
 SMALLEST_PEAK_N = 0.1
 #: Stiffness beyond which a Falcon's own driver does not go [N/m].
 LARGEST_STIFFNESS_N_PER_M = 3000.0
-N_PER_MM_TO_N_PER_M = 1000.0
 MM_PER_M = 1000.0
 #: Damping of a replayed motion, which no force moves, as far as a number can say it [N s/m].
 MOST_DAMPING = 1e6
@@ -147,7 +146,7 @@ def _fastest_force(tissue: Tissue, depth_mm: FloatArray) -> FloatArray:
 def scaling_at(tissue: Tissue, *, force: float, motion: float) -> Scaling:
     """The numbers of a scale s_F, s_x that is given."""
     peak = _fastest_force(tissue, np.array([tissue.model.depth_mm]))
-    tangent = largest_tangent(tissue.model, tissue.theta) * N_PER_MM_TO_N_PER_M
+    tangent = largest_tangent(tissue.model, tissue.theta) * MM_PER_M
     return Scaling(
         force=force,
         motion=motion,

@@ -103,13 +103,11 @@ def points(values: Iterable[float], places: int = 4) -> tuple[float, ...]:
 
 def _catalogue() -> dict[str, Published]:
     numbers = {}
-    for depth, (peak, tau) in _TABLE_1.items():
-        numbers[f"table-1/peak-{depth}mm"] = Published(
-            "Table 1", peak, "N", f"Peak force, held at {depth} mm"
-        )
-        numbers[f"table-1/tau-{depth}mm"] = Published(
-            "Table 1", tau, "s", f"Relaxation time, held at {depth} mm"
-        )
+    for depth, row in _TABLE_1.items():
+        columns = (("peak", "N", "Peak force"), ("tau", "s", "Relaxation time"))
+        for (name, unit, words), value in zip(columns, row, strict=True):
+            said = f"{words}, held at {depth} mm"
+            numbers[f"table-1/{name}-{depth}mm"] = Published("Table 1", value, unit, said)
     numbers["table-2/stiffness"] = Published("Table 2", 63.62, "N/mm", "Stiffness of the branch, K")
     numbers["table-2/tau"] = Published("Table 2", 0.021, "s", "Relaxation time")
     for place, value in enumerate(_TABLE_3, start=1):

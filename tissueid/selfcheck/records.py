@@ -229,10 +229,9 @@ def run_simulations(
     simulations: int,
     seed: int,
     workers: int = 1,
-    progress: _Progress | None = None,
+    progress: _Progress = lambda _message, _done, _total: None,
 ) -> tuple[Record, ...]:
     """Simulate what the checkpoint does not hold yet."""
-    progress = progress or (lambda _message, _done, _total: None)
     missing = checkpoint.missing(simulations)
     done = simulations - len(missing)
     progress("simulating", done, simulations)

@@ -178,24 +178,20 @@ class TissueCheck:
         truth = self.truth(rng)
         fit = self.identified(self.trials(truth, rng), seed=int(rng.integers(2**31)))
         true = self._numbers(fit, truth.theta[None])
+        assert fit.posterior is not None  # noqa: S101 -- identified saw to it
+        misfit = fit.posterior.misfit
+        detail = {
+            "acceptance": float(fit.posterior.sampler.acceptance),
+            "identified": float(np.mean([one.identified for one in fit.parameters])),
+            "misfit": float(misfit is not None and misfit.raised),
+            "logs": float(len(fit.trials)),
+        }
         return Replicate(
             truth={name: float(value[0]) for name, value in true.items()},
             draws=self._numbers(fit, self.drawn(fit)),
-            detail=_detail(fit),
+            detail=detail,
             quoted={name: ends for name, ends in _quoted(fit, total=self.defects).items() if name in true},
         )
-
-
-def _detail(fit: SpecimenFit) -> dict[str, float]:
-    """Numbers of a fit that are kept as means over the simulations."""
-    assert fit.posterior is not None  # noqa: S101 -- identified saw to it
-    misfit = fit.posterior.misfit
-    return {
-        "acceptance": float(fit.posterior.sampler.acceptance),
-        "identified": float(np.mean([one.identified for one in fit.parameters])),
-        "misfit": float(misfit is not None and misfit.raised),
-        "logs": float(len(fit.trials)),
-    }
 
 
 def _quoted(fit: SpecimenFit, *, total: bool) -> dict[str, tuple[float, float]]:

@@ -255,11 +255,9 @@ def dump_recipe(recipe: Recipe) -> str:
 
 def _toml(value: Any) -> str:
     """A scalar or a list of scalars in TOML."""
-    if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    if isinstance(value, tuple):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
-    return repr(value)
+    from tomlkit import item
+
+    return str(item(value).as_string())
 
 
 SPEEDS_MM_MIN = (10.0, 70.0, 100.0, 150.0, 250.0, 500.0)
