@@ -90,13 +90,16 @@ _BRACKETS = re.compile(r"^\s*[(\[]\s*(.*?)\s*[)\]]\s*$", re.DOTALL)
 #: A unit is a short word, perhaps a product of powers: never hand anything else to a parser.
 _UNIT_SHAPED = re.compile(r"[^\W\d_][\w²³]*(?:(?:\s?[/*·]\s?|\^|\*\*|\s)-?[\w²³]+){0,4}|%|µ\w+")
 _LONGEST_UNIT = 24
+#: Signs of the inch.
+_INCHES = frozenset({'"', "''", "″"})
 
 
 def bare_unit(text: str) -> str:
     """The unit without brackets, padding or a final full stop: ``"(sec) "`` gives ``"sec"``."""
     text = text.translate(OTHER_BRACKETS)
     match = _BRACKETS.match(text)
-    return (match[1] if match else text).strip().rstrip(".")
+    bare = (match[1] if match else text).strip().rstrip(".")
+    return "in" if bare in _INCHES else bare
 
 
 @cache

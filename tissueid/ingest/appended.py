@@ -13,8 +13,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from tissueid.ingest.header import header_entries, specimen_in
+from tissueid.ingest.header_units import stated_units
 from tissueid.ingest.labelled import FEWEST_ROWS
-from tissueid.ingest.layout import Layout, is_units_row, split_line, stated_units
+from tissueid.ingest.layout import Layout, is_units_row, split_line
 from tissueid.ingest.numbers import CellFault, Row, parse_number
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place

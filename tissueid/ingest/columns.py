@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -42,12 +42,18 @@ _NAMED_BY_UNIT = re.compile(
 )
 #: A form of clock times, which are read as seconds: ``hh:mm:ss.fff``.
 _CLOCK_FORM = re.compile(r"(?:h+:)?m+:s+(?:[.,:][f0sz#]+)?", re.IGNORECASE)
-#: A word that may be a unit, or a part of one: ``10^-3 N``.
+#: A word or sign that may be a unit, or a part of one: ``10^-3 N``, ``″``.
 _UNIT_LIKE = re.compile(
     r"[^\W\d_]{1,8}|[x×*·]?\s*(?:10\s*(?:\^|\*\*|[⁻-]?[⁰¹²³⁴-⁹\d]|[⁻-])|1[eE]|0[.,]0*1\b).*"
+    r"|[\"'″′#?]{1,2}"
 )
 #: What ends a name as a unit does, and is none of a channel, or in small letters one of several.
 _GLUED_UNIT = re.compile(r"[mµu]?V|[Vv]olts?|[Ss]teps|[Tt]icks|bits|adc|ADC|[mup]n")
+#: Names of whole seconds, and of their part below one, behind the same words: ``header stamp nsecs``.
+_WHOLE_SECONDS = re.compile(r"((?:.* )?)(?:s|secs?|seconds?|sekunden?|secondes?|segundos?|secondi)")
+_BELOW_SECOND = re.compile(
+    r"((?:.* )?)(?:(m|milli)|(u|\u03bc|micro|mikro)|(n|nano))(?:s|secs?|seconds?|sekunden?|secondes?)"
+)
 #: Words of strain and stress in the nine languages, accents stripped.
 _NORMALISED: Mapping[Quantity, re.Pattern[str]] = {
     "strain": re.compile(
@@ -75,11 +81,61 @@ class ColumnChoice:
     interval_s: float | None = None  # of samples whose time is no column, but counted
     stated: Collection[str] = ()  # channels whose unit the user states
     other_clock: int | None = None  # column of a time that is another channel's, by its name
+    #: Column of a part of a second, by its name, and its unit [s].
+    below_second: tuple[int, float] | None = None
+    counter: int | None = None  # column that counts the samples of an interval
 
-    def refuse_other_clock(
+    def timed(
+        self, columns: Channels, read: Callable[[ColumnChoice], Channels], place: Place, line: int | None
+    ) -> tuple[Channels, tuple[Flag, ...]]:
+        """Channels on their exact clock; ``read``: of another choice.
+
+        A part of a second in a column of its own is added; channels with clocks of their own are refused.
+        """
+        self._refuse_other_clock(columns[0], read, place, line)
+        if self.counter is not None and self.interval_s is not None:
+            return self._by_counter(columns, self.counter, self.interval_s, read)
+        if self.below_second is None:
+            return columns, ()
+        at, unit_s = self.below_second
+        # in the place of the force: it starts again at every second
+        index, factors = {**self.index, "force": at}, {**self.factors, "force": unit_s}
+        try:
+            part_s = read(replace(self, index=index, factors=factors))[2]
+        except InputError:
+            return columns, ()
+        time_s = columns[0] + part_s
+        whole = (columns[0] == np.rint(columns[0])).all() and (part_s >= 0.0).all() and (part_s < 1.0).all()
+        if not (whole and (np.diff(time_s) >= 0.0).all()):
+            return columns, ()
+        words = f"time is the sum of {self.names['time']!r} and column {at + 1}, its part of a second"
+        return (time_s, *columns[1:]), (Flag("column_choice", words, self._by_column(at)),)
+
+    def _by_column(self, at: int) -> dict[str, Any]:
+        """Numbers behind a time that takes a column more."""
+        return {"quantity": "time", "taken": f"{self.names['time']} and #{at + 1}", "alternatives": []}
+
+    def _by_counter(
+        self, columns: Channels, at: int, interval_s: float, read: Callable[[ColumnChoice], Channels]
+    ) -> tuple[Channels, tuple[Flag, ...]]:
+        """Channels with time by a column that counts samples, where it leaves some out."""
+        asked = replace(self, index={**self.index, "time": at}, interval_s=None)
+        try:
+            number = read(asked)[0]
+        except InputError:
+            return columns, ()
+        steps = np.diff(number)
+        if not (steps > 0.0).all() or (steps == 1.0).all() or (steps != np.rint(steps)).any():
+            return columns, ()
+        lost = int((steps - 1.0).sum())
+        words = f"column {at + 1} counts the samples and leaves out {lost}: time goes by it"
+        time_s = (number - number[0]) * interval_s
+        return (time_s, *columns[1:]), (Flag("column_choice", words, self._by_column(at)),)
+
+    def _refuse_other_clock(
         self, time_s: FloatArray, read: Callable[[ColumnChoice], Channels], place: Place, line: int | None
     ) -> None:
-        """Refuse channels whose times drift apart by more than a sample; ``read``: of another choice."""
+        """Refuse channels whose times drift apart by more than a sample."""
         if self.other_clock is None:
             return
         try:
@@ -293,7 +349,9 @@ def choose_columns(
         if not found:
             raise _none_found(head, channel, place, line)
         taken[channel] = found[0][1]
-        others = [column.name for _, column in found[1:]] + head.ruled_out(channel, found)
+        part = _below_second(head, found[0][1]) if channel == "time" else None
+        further = [column.name for _, column in found[1:] if part is None or column.index != part[0]]
+        others = further + head.ruled_out(channel, found)
         if others:
             name, more = taken[channel].name, f" or {len(others) - 1} more" if others[1:] else ""
             message = f"{channel} was taken from {name!r}, not from {others[0]!r}{more}"
@@ -312,7 +370,20 @@ def choose_columns(
         flags.append(Flag("time_counted", message, {"interval_s": interval_s}))
     stated = tuple(head.options.units)
     other = None if "time" in options.columns else _other_clock(head)
-    return ColumnChoice(indices, printed, factors, tuple(flags), head.options.axes, interval_s, stated, other)
+    part = _below_second(head, taken["time"]) if "time" in taken else None
+    return ColumnChoice(
+        indices, printed, factors, tuple(flags), head.options.axes, interval_s, stated, other, part
+    )
+
+
+def _below_second(head: _Head, time: _Column) -> tuple[int, float] | None:
+    """Column of the part of a second beside a time in whole ones, by its name, and its unit [s]."""
+    whole = _WHOLE_SECONDS.fullmatch(plain_words(time.name))
+    for column in head.columns if whole else ():
+        part = _BELOW_SECOND.fullmatch(plain_words(column.name))
+        if whole and part and part[1] == whole[1]:
+            return column.index, 1e-3 if part[2] else 1e-6 if part[3] else 1e-9
+    return None
 
 
 def _other_clock(head: _Head) -> int | None:
@@ -427,7 +498,7 @@ def _factor(
         place.refuse("wrong_unit" if known else "unknown_unit", message, line=line, column=column.index + 1)
     if len(set(factors)) > 1:
         message = (
-            f"column {column.shown!r} is in {column.units[0]!r} by its units row and in {column.units[1]!r}"
+            f"column {column.shown!r} is in {column.units[0]!r} by the header and in {column.units[1]!r}"
             f" by its name; state the right one with --units {channel}={column.units[0]}"
         )
         place.refuse("unit_conflict", message, line=line, column=column.index + 1)

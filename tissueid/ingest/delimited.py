@@ -97,6 +97,7 @@ def read_delimited(file: InputFile) -> Iterator[Table | InputError]:
     """The recordings in the table of a text file: one, or several below each other."""
     place = Place(file.path)
     text, layout = file.laid_out()
+    layout = _behind_row_names(text, layout, file.options)
     top = text.data[: layout.offset].splitlines()
     lines = [split_line(text.decode(line), layout.delimiter) for line in top]
     names = layout.names_line or 0
@@ -137,17 +138,31 @@ def _counted(
     )
 
 
-def _rises(text: Text, layout: Layout, options: ReadOptions) -> bool:
-    """True where another column rises from row to row, and is no count of rows: the time, named otherwise."""
+def _rising(text: Text, layout: Layout, options: ReadOptions) -> Iterator[tuple[int, bool]]:
+    """Columns of no channel that rise from row to row, each with whether it counts the rows."""
     taken = channel_columns(layout.names, options).values()
     lines = text.data[layout.offset :].split(b"\n", _ROWS_LOOKED_AT)[:_ROWS_LOOKED_AT]
     rows = [split_line(text.decode(line), layout.delimiter) for line in lines if line.strip()]
     for index in range(layout.n_columns):
         cells = [parse_number(row[index], layout.decimal) for row in rows if index < len(row)]
         steps = {b - a for a, b in pairwise(one for one in cells if isinstance(one, float))}
-        if index not in taken and layout.numeric[index] and min(steps, default=0.0) > 0.0 and steps != {1.0}:
-            return True
-    return False
+        if index not in taken and layout.numeric[index] and min(steps, default=0.0) > 0.0:
+            yield index, steps == {1.0}
+
+
+def _rises(text: Text, layout: Layout, options: ReadOptions) -> bool:
+    """True where another column rises from row to row, and is no count of rows: the time, named otherwise."""
+    return not all(counts for _, counts in _rising(text, layout, options))
+
+
+def _behind_row_names(text: Text, layout: Layout, options: ReadOptions) -> Layout:
+    """The layout with its names shifted, where a first column without one counts the rows, as R writes it."""
+    names = layout.names
+    shifted = len(names) == layout.n_columns > 1 and all(names[:-1]) and not names[-1]
+    bare = replace(layout, names=("",) * layout.n_columns, units=())
+    if not shifted or layout.units_in_row or (0, True) not in _rising(text, bare, options):
+        return layout
+    return replace(layout, names=("", *names[:-1]))
 
 
 def _refuse_unnamed(layout: Layout, printed: int, place: Place) -> None:
@@ -198,10 +213,14 @@ def _continuous(
 ) -> tuple[ColumnChoice, Channels, list[Flag]]:
     """Columns and rows, of a displacement that starts again at each turn where no other fits and does not."""
     first = choice = _choice(layout, options, place)
-    read = columns, flags = read_body(text, layout, choice, place)
-    choice.refuse_other_clock(
-        columns[0], lambda other: read_body(text, layout, other, place)[0], place, layout.first_line
+    if choice.interval_s is not None:
+        counters = (index for index, counts in _rising(text, layout, options) if counts)
+        choice = replace(choice, counter=next(counters, None))
+    columns, flags = read_body(text, layout, choice, place)
+    columns, more = choice.timed(
+        columns, lambda other: read_body(text, layout, other, place)[0], place, layout.first_line
     )
+    read = columns, flags = columns, [*flags, *more]
     said = [flag.values for flag in choice.flags if flag.values.get("quantity") == "displacement"]
     names = [name for values in said for name in values.get("alternatives", ())]
     while restart(columns[0], columns[1]) is not None:

@@ -184,11 +184,28 @@ _SAMPLING = re.compile(
 _OF_A_RATE = re.compile(r"rate|fre[qc]|czestotliwosc|率|レート|周波数")
 _OF_A_STEP = re.compile(r"interval|period|step|spacing|schritt|间隔|間隔|周期")
 _BY_ITSELF = re.compile(r"(fs)|dt|delta ?[xt]")
+#: Names of what was kept of the samples; it is a rate where its unit or name says so.
+_KEPT = re.compile(
+    r"record|stor(?:e|age)|save|output|export|decimated|reduced|speicher|ausgabe|aufzeichn|enregistr|grabacion"
+    r"|registr|保存|记录|記録"
+)
+_OF_KEPT = re.compile(r"rate|fre[qc]|interval|率|レート|周波数|间隔|間隔")
+#: Names and values that say how many samples became one row.
+_THINNED = re.compile(
+    r".*(?:decimat|dezim|(?:down|over|sub|under|re) ?sampl|reduc|redukt|skip|every|jede|export|thinn|binning)"
+    r".*|(?:log|sampl|data|storage)\w* ratio|averag\w*(?: (?:samples|points|count|factor|over|number))*"
+    r"|mittel(?:ung|wertbildung)?|moyennage"
+)
+_SO_MANY = re.compile(
+    r"(?:every )?(?:1 ?[:/] ?)?(\d+)(?:st|nd|rd|th|\.)?"
+    r"(?: ?(?:x|times|rows?|samples?|points?|pts|scans?|values?|werte?|punkte?))?"
+)
 _STATED = re.compile(r"([\d.]+(?:[eE][+-]?\d+)?)\s*([^\W\d_]+)")
 #: Units of a rate, in samples a second.
 _RATES = {
     "hz": 1.0, "khz": 1e3, "1/s": 1.0, "/s": 1.0, "s/s": 1.0, "sps": 1.0,
-    "samples/s": 1.0, "samples/sec": 1.0, "points/s": 1.0, "pts/s": 1.0, "scans/s": 1.0,
+    "samples/s": 1.0, "samples/sec": 1.0, "points/s": 1.0, "points/sec": 1.0, "pts/s": 1.0, "pts/sec": 1.0,
+    "scans/s": 1.0, "scans/sec": 1.0,
 }  # fmt: skip
 #: Intervals [s] that a recording of a contact may have.
 _SHORTEST, _LONGEST = 1e-7, 1e3
@@ -226,10 +243,14 @@ def stated_interval(metadata: Mapping[str, str], decimal: str) -> float | None:
         if not text:  # of a line that is one cell
             key, _, text = re.sub("[:=]", "\0", key, count=1).partition("\0")
         words = plain_words(key)
+        many = _SO_MANY.fullmatch(text.strip().casefold())
+        if many is not None and int(many[1]) > 1 and _THINNED.fullmatch(words):
+            return None  # of a rate that is stated nobody knows which it is
         alone = _BY_ITSELF.fullmatch(words)
-        if alone is None and not (
-            _SAMPLING.search(words) and (_OF_A_RATE.search(words) or _OF_A_STEP.search(words))
-        ):
+        sampled = _SAMPLING.search(words) and (_OF_A_RATE.search(words) or _OF_A_STEP.search(words))
+        rated = text.rpartition(" ")[2].casefold() in _RATES
+        kept = _KEPT.search(words) and (_OF_KEPT.search(words) or rated)
+        if not (alone or sampled or kept):
             continue
         of_a_rate = bool(alone[1]) if alone else _OF_A_STEP.search(words) is None
         in_key = UNIT_OF_KEY.fullmatch(key.rstrip(": "))

@@ -17,12 +17,13 @@ from itertools import zip_longest
 
 from tissueid.flags import Flag
 from tissueid.ingest.columns import channel_columns, has_channels, split_name
+from tissueid.ingest.header_units import stated_units
 from tissueid.ingest.labelled import units_beside, with_units
 from tissueid.ingest.numbers import Row, decimal_evidence, is_word, looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, Text
-from tissueid.ingest.vocabulary import is_comment_name, is_units_key, plain_words, rank_of
+from tissueid.ingest.vocabulary import is_comment_name, is_units_key, plain_words
 from tissueid.units import quantity_of
 
 Cells = Sequence[str]
@@ -208,8 +209,6 @@ _VOTING_ROWS = 40
 #: Lines between names and numbers in which units stand, and the longest word that may be one.
 _ROWS_OF_HEAD = 3
 _LONGEST_WORD = 12
-#: A line of the header that states the unit of one column.
-_UNIT_OF_NAME = re.compile(r"(.{1,40}\S) (?:[Uu]nits?|[Ee]inheit)\s?[:=,]?\s?(\S{1,12})")
 #: Longer cells are prose, be there words of columns in it or not.
 _LONGEST_NAME = 80
 #: What a program writes before a line of words that is no data of its own.
@@ -362,21 +361,6 @@ def _units_above(rows: Sequence[Row], names: int, options: ReadOptions) -> int |
         if len(stated) >= 2 and all(quantity == options.quantity(channel) for channel, quantity in stated):
             return index
     return None
-
-
-def stated_units(header: Sequence[Row], names: Row, options: ReadOptions) -> Row:
-    """Units that lines of the header state, each of one column by its name or kind: ``Force unit: mN``."""
-    stated = {}
-    for row in header:
-        match = _UNIT_OF_NAME.fullmatch(" ".join(_filled(row)))
-        if match is not None and isinstance(quantity_of(match[2]), str):
-            stated[plain_words(match[1])] = match[2]
-    units = [stated.get(plain_words(name), "") for name in names]
-    for channel, at in (channel_columns(names, options) if stated else {}).items():
-        if not units[at] and split_name(names[at])[1] is None:
-            kinds = (unit for key, unit in stated.items() if rank_of(key, channel, loose=False) is not None)
-            units[at] = next(kinds, "")
-    return tuple(units) if stated else ()
 
 
 def _without_key(row: Row, width: int) -> Row:

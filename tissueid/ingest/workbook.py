@@ -203,9 +203,10 @@ def _read_sheet(file: InputFile, sheet: str, cells: Cells, found: Anchor, *, nam
     stop = len(cells) if results is None else results
     above = () if found.names is None else flag_head(head[: found.names], place)
     columns, flags = _read_columns(cells[:stop], found.first, choice, place)
-    choice.refuse_other_clock(
-        columns[0], lambda other: _read_columns(cells[:stop], found.first, other, place)[0], place, line
+    columns, clock = choice.timed(
+        columns, lambda other: _read_columns(cells[:stop], found.first, other, place)[0], place, line
     )
+    flags += clock
     _refuse_other_heads(cells[:stop], flags, printed, units, place)
     if results is not None:
         flags.append(results_flag(results + 1, len(cells)))
