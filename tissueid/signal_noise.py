@@ -7,6 +7,8 @@ has step/sqrt(12).
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -95,6 +97,45 @@ def without_spikes(values: FloatArray, *, noise: float) -> FloatArray:
     result = values.copy()
     result[at] = 0.5 * (values[at - 1] + values[at + 1])
     return result
+
+
+#: Samples that a lost signal lasts at the most, their spread over how far they are off, samples on each side
+#: whose steps tell the course, and steps that they are off.
+MOST_LOST, LOST_SPREAD, BESIDE, LOST_STEPS = 20, 0.05, 3, 2.5
+#: Share of the force below which nothing is lost, and of the travel within which the tool moves on meanwhile.
+LOST_SHARE, LOST_TRAVEL = 0.02, 0.02
+
+
+def dropouts(force: FloatArray, travel: FloatArray, *, noise: float) -> NDArray[np.bool_]:
+    """Samples (n,) of a force that jumps to a level and back onto its course, while the tool moves on."""
+    lost = np.zeros(force.size, dtype=np.bool_)
+    steps, slack = np.abs(np.diff(force)), SPIKE_SD * noise
+    jumps = np.flatnonzero(steps > max(slack, LOST_SHARE * float(np.ptp(force))))
+    for last, end in pairwise(jumps.tolist()):
+        count, run = end - last, slice(last + 1, end + 1)
+        if count > MOST_LOST or last < BESIDE or end + BESIDE >= steps.size:
+            continue
+        off = np.abs(_off_line(force, last, end + 1)).min()
+        course = max(steps[last - BESIDE : last].max(), steps[end + 1 : end + 1 + BESIDE].max())
+        goes_on = abs(force[end + 1] - force[last]) <= 2.0 * course * (count + 1) + slack
+        level = np.ptp(force[run]) <= max(slack, LOST_SPREAD * off)
+        moves_on = np.abs(_off_line(travel, last, end + 1)).max() <= LOST_TRAVEL * np.ptp(travel)
+        lost[run] |= goes_on and level and moves_on and off > LOST_STEPS * course
+    return lost
+
+
+def _off_line(values: FloatArray, first: int, last: int) -> FloatArray:
+    """Values between two samples off the line between them, (last - first - 1,)."""
+    line = np.linspace(values[first], values[last], last - first + 1)
+    return np.asarray(values[first + 1 : last] - line[1:-1])
+
+
+def bridged(values: FloatArray, lost: NDArray[np.bool_]) -> FloatArray:
+    """The values (n,), those that were lost on the lines between their neighbours."""
+    if not lost.any():
+        return values
+    at = np.arange(values.size)
+    return np.asarray(np.where(lost, np.interp(at, at[~lost], values[~lost]), values))
 
 
 def running_median(values: FloatArray) -> FloatArray:

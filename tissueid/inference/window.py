@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.measured.pushes import first_of_test, first_turn, mean_speed, measured_surface, usable_until
-from tissueid.signal_noise import chain_breaks
+from tissueid.signal_noise import chain_breaks, dropouts
 from tissueid.trial import RENDERED, Phase, Segmentation, Trial, contact_frame
 
 #: Contact standard deviations below contact that stay out of the likelihood.
@@ -119,10 +119,11 @@ def _crossed(time_s: FloatArray, depth_mm: FloatArray, *, exact: bool) -> float:
     return float(time_s[1] - share * (time_s[1] - time_s[0]))
 
 
-def _clipped(trial: Trial) -> NDArray[np.bool_]:
-    """Samples at the limit of the cell."""
+def _unmeasured(trial: Trial, segmentation: Segmentation) -> NDArray[np.bool_]:
+    """Samples at the limit of the cell, and those in which its signal was lost."""
     limits = [flag.values["force_N"] for flag in trial.flags if flag.code == "clipped_force"]
-    return np.isin(trial.force_N, limits)
+    lost = dropouts(trial.force_N, trial.displacement_mm, noise=segmentation.force_noise_N)
+    return np.isin(trial.force_N, limits) | lost
 
 
 def fitted_log(
@@ -145,7 +146,7 @@ def fitted_log(
     turn = first_turn(segmentation, depth, first)
     last = max(usable_until(segmentation, depth.size), turn) if whole else turn
     time, x, f = trial.time_s[first:last], depth[first:last], force[first:last]
-    include = (np.arange(first, last) >= begins) & ~_clipped(trial)[first:last]
+    include = (np.arange(first, last) >= begins) & ~_unmeasured(trial, segmentation)[first:last]
     if (contact.in_record or guard) and begins <= first:
         include &= x >= GUARD_SD * contact.sd_mm
     exact = trial.protocol.kind == RENDERED

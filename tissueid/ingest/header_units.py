@@ -32,17 +32,19 @@ _LENGTHS = frozenset({"length", "lange", "longueur", "longitud", "comprimento", 
 
 
 def stated_units(header: Sequence[Row], names: Row, options: ReadOptions) -> Row:
-    """Units above columns of these names; empty texts where none is stated, and no texts where none is at all.
+    """Units above columns of these names; empty texts where none is stated, no texts where none is at all.
 
     One that is stated of a column that has another in its name stands beside it.
     """
     stated, kinds = {}, dict[str, set[str]]()
-    for line in (" ".join(cell.strip() for cell in row if cell.strip()) for row in header):
+    for filled in ([cell.strip() for cell in row if cell.strip()] for row in header):
+        line = " ".join(filled)
         of_one = [one.groups() for key in _OF_ONE if (one := key.fullmatch(line))]
         for name, unit in (*of_one, *_QUOTED.findall(line)):
             if isinstance(quantity_of(unit), str):
                 stated[plain_words(name)] = unit
-        for unit in _listed(line):
+        # those in cells of their own stand over columns, be they these or not
+        for unit in _listed(line) if len(filled) == 1 else ():
             kinds.setdefault(str(quantity_of(unit)), set()).add(unit)
     units = [stated.get(plain_words(name), "") for name in names]
     for channel, at in (channel_columns(names, options) if stated or kinds else {}).items():

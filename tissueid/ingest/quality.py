@@ -13,7 +13,7 @@ from tissueid.digits import clock_start
 from tissueid.flags import Flag
 from tissueid.ingest.broken_rows import WHOLE_FROM, jump
 from tissueid.ingest.header import stated
-from tissueid.signal_noise import NORMAL_SD_OVER_MEDIAN, quantum
+from tissueid.signal_noise import NORMAL_SD_OVER_MEDIAN, bridged, dropouts, quantum, white_noise_sd
 
 _FEW_LEVELS = 64
 _SAMPLES_PER_LEVEL = 10
@@ -165,10 +165,13 @@ _SAMPLED = 20_000
 
 
 def spike(time_s: FloatArray, displacement_mm: FloatArray, force_N: FloatArray) -> Flag | None:
-    """Samples of displacement or force that stand alone, with the largest of them."""
+    """Samples that stand alone, and dropouts of the force, with the largest of them."""
+    lost = dropouts(force_N, displacement_mm, noise=white_noise_sd(time_s, force_N))
+    off_N = force_N - bridged(force_N, lost)
+    force = [one for one in _alone(time_s, force_N, displacement_mm) if not lost[one[0]]]
     by_channel = (
         ("displacement", "mm", _alone(time_s, displacement_mm, None)),
-        ("force", "N", _alone(time_s, force_N, displacement_mm)),
+        ("force", "N", [*force, *((i, float(off_N[i])) for i in np.flatnonzero(lost).tolist())]),
     )
     found = [(name, unit, alone) for name, unit, alone in by_channel if alone]
     if not found:

@@ -20,7 +20,7 @@ from tissueid.segment.options import SegmentOptions
 from tissueid.segment.phases import Surface, name_phases, settled
 from tissueid.segment.rupture import rupture_flags, ruptures
 from tissueid.segment.signs import drift_in_air, signs
-from tissueid.signal_noise import FEWEST_CHANGES, white_noise_sd, without_spikes
+from tissueid.signal_noise import FEWEST_CHANGES, bridged, dropouts, white_noise_sd, without_spikes
 from tissueid.trial import RENDERED, Contact, Event, Phase, Protocol, Segmentation, Trial
 
 #: A hold may begin in these kinds of phase.
@@ -146,7 +146,7 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
     compression, force_sign, flags = signs(trial, options)
     time_s, depth, force = trial.time_s, compression * trial.displacement_mm, force_sign * trial.force_N
     noise = white_noise_sd(time_s, force)
-    force = without_spikes(force, noise=noise)
+    force = without_spikes(bridged(force, dropouts(force, depth, noise=noise)), noise=noise)
     if time_s.size < FEWEST_SAMPLES or np.ptp(depth) == 0.0:
         message = f"{time_s.size} samples over {np.ptp(depth):.3g} mm of travel: nothing to divide"
         few = _nothing(message, time_s.size, float(np.ptp(depth)))

@@ -1,0 +1,169 @@
+"""Clocks and units as laboratories write them: thinned rates, split seconds, counters, units of a header."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ingest_files import codes, put, read, refusal
+
+from tissueid.segment import segment
+from tissueid.signal_noise import bridged, dropouts
+from tissueid.trial import Trial
+
+NAMES = "Displacement (mm),Force (N)\n"
+ROWS = "".join(f"{0.02 * row:.2f},{0.5 * row:.1f}\n" for row in range(40))
+TIMED = "".join(f"{0.1 * row:.2f}\t{20.0 * row:.0f}\t{0.5 * row:.1f}\n" for row in range(40))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "Decimation: 50",
+        "Oversampling: 50",
+        "Save every: 50 samples",
+        "Export: every 50th point",
+        "Data reduction factor: 50",
+        "Logging ratio: 1:50",
+        "Averaging: 50",
+        "Mittelung: 50 Werte",
+        "Decimated to: 20 Hz",
+        "Output rate: 20 Hz",
+        "Speicherrate: 20 Hz",
+        "Recording interval: 50 ms",
+    ],
+)
+def test_a_rate_of_samples_of_which_not_all_are_rows_is_no_clock(tmp_path: Path, line: str) -> None:
+    """1000 Hz a sample and 50 samples a row: nobody but the user knows which is the rate of the rows."""
+    error = refusal(put(tmp_path / "a.csv", f"Sampling rate: 1000 Hz\n{line}\n{NAMES}{ROWS}"))
+    assert error.code == "no_columns"
+    assert "time=100Hz" in error.message
+
+
+@pytest.mark.parametrize(
+    "line", ["Decimation: 1", "Average width: 12 mm", "Skip: no", "Recording rate: 100 Hz", "Filter: 10 Hz"]
+)
+def test_lines_that_thin_nothing_leave_the_rate(tmp_path: Path, line: str) -> None:
+    trial = read(put(tmp_path / "a.csv", f"Sampling rate: 100 Hz\n{line}\n{NAMES}{ROWS}"))
+    assert trial.time_s == pytest.approx(0.01 * np.arange(40))
+
+
+@pytest.mark.parametrize(
+    ("names", "unit_s"),
+    [
+        ("sec,nanosec", 1e-9),
+        ("header.stamp.secs,header.stamp.nsecs", 1e-9),
+        ("Seconds,Milliseconds", 1e-3),
+        ("Sekunden,Millisekunden", 1e-3),
+        ("s,µs", 1e-6),
+    ],
+)
+def test_a_part_of_a_second_in_a_column_of_its_own_is_added(
+    tmp_path: Path, names: str, unit_s: float
+) -> None:
+    """Sampled at 100 Hz and then at 4 Hz, as a logger that adapts its rate."""
+    time = 20.37 + np.concatenate([0.01 * np.arange(100), 1.0 + 0.25 * np.arange(100)])
+    whole = np.floor(np.round(time, 9))
+    parts = np.rint((time - whole) / unit_s)
+    rows = zip(whole, parts, np.linspace(0.0, 2.0, 200), np.linspace(0.0, 5.0, 200), strict=True)
+    lines = "".join(f"{a:.0f},{b:.0f},{x:.3f},{f:.3f}\n" for a, b, x, f in rows)
+    trial = read(put(tmp_path / "a.csv", f"{names},Position (mm),Load (N)\n{lines}"))
+    np.testing.assert_allclose(trial.time_s - trial.time_s[0], time - time[0], atol=1e-6)
+    assert set(codes(trial)) <= {"column_choice", "units_assumed"}
+
+
+def test_milliseconds_since_the_start_are_no_part_of_the_seconds(tmp_path: Path) -> None:
+    lines = "".join(f"{0.1 * k:.1f},{100 * k},{0.02 * k:.2f},{0.5 * k:.1f}\n" for k in range(40))
+    trial = read(put(tmp_path / "a.csv", f"Seconds,Milliseconds,Position (mm),Load (N)\n{lines}"))
+    np.testing.assert_allclose(trial.time_s, 0.1 * np.arange(40))
+
+
+def test_a_counter_that_leaves_samples_out_is_the_clock(tmp_path: Path) -> None:
+    number = np.concatenate([np.arange(30), np.arange(90, 120)])
+    lines = "".join(f"{k},{0.02 * k:.2f},{0.5 * k:.1f}\n" for k in number)
+    trial = read(put(tmp_path / "a.csv", f"Sampling rate: 20 Hz\nSample,{NAMES}{lines}"))
+    np.testing.assert_allclose(trial.time_s, 0.05 * number)
+    assert {"time_counted", "column_choice", "gap"} <= set(codes(trial))
+
+
+def test_names_stand_behind_the_row_numbers_of_r(tmp_path: Path) -> None:
+    lines = "".join(f"{k + 1}\t{0.1 * k:.1f}\t{0.02 * k:.2f}\t{0.5 * k:.1f}\n" for k in range(40))
+    trial = read(put(tmp_path / "a.txt", f"time_s\tdisp_mm\tforce_N\n{lines}"))
+    assert (trial.time_s[2], trial.displacement_mm[2], trial.force_N[2]) == pytest.approx((0.2, 0.04, 1.0))
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "Units: s, um, gf",
+        "Units,s,um,gf",
+        "Einheiten: s; um; gf",
+        "Display units: um, gf, s",
+        "Unit system: own (um, gf, s)",
+        "Displacement unit: um\nForce unit: gf",
+        "force_unit: gf\ndisplacement_unit=um",
+        "Unit of force = gf\nUnit of length = um",
+        "Units (force): gf\nUnits (displacement): um",
+        "Krafteinheit: gf\nWegeinheit: um",
+        "Force in gf\nDisplacement in um",
+        '# {"force_unit": "gf", "displacement_unit": "um"}',
+    ],
+)
+def test_units_of_the_header_are_those_of_columns_that_state_none(tmp_path: Path, head: str) -> None:
+    trial = read(put(tmp_path / "a.txt", f"{head}\nTime\tDisp\tForce\n{TIMED}"))
+    assert trial.displacement_mm[1] == pytest.approx(0.02)
+    assert trial.force_N[1] == pytest.approx(0.5 * 9.80665e-3)
+
+
+def test_a_unit_of_the_header_that_contradicts_the_name_is_refused(tmp_path: Path) -> None:
+    error = refusal(put(tmp_path / "a.txt", f"Force unit: gf\nTime (s)\tDisp (um)\tForce (N)\n{TIMED}"))
+    assert error.code == "unit_conflict"
+    assert "--units force=gf" in error.message
+
+
+@pytest.mark.parametrize("sign", ['"', "''", "″"])
+def test_signs_of_the_inch_are_its_unit(tmp_path: Path, sign: str) -> None:
+    rows = "".join(f"{0.1 * row:.2f}\t{0.02 * row:.2f}\t{0.5 * row:.1f}\n" for row in range(40))
+    trial = read(put(tmp_path / "a.txt", f"Time (s)\tPosition [{sign}]\tLoad (N)\n{rows}"))
+    assert trial.displacement_mm[1] == pytest.approx(0.02 * 25.4)
+
+
+@pytest.mark.parametrize("sign", ["#", "?"])
+def test_a_sign_that_is_no_unit_is_not_taken_for_none(tmp_path: Path, sign: str) -> None:
+    error = refusal(put(tmp_path / "a.txt", f"Time (s)\tPosition (mm)\tLoad ({sign})\n{TIMED}"))
+    assert error.code == "unknown_unit"
+
+
+def lossy(lost: slice, level_N: float = 0.0) -> Trial:
+    """A second of air, a ramp of four seconds to 10 N and a hold that relaxes, with samples of no signal."""
+    time = np.arange(1200) / 100.0
+    depth = np.clip(time - 1.0, 0.0, 4.0)
+    force = 2.0 * depth + 2.0 * np.where(time < 5.0, depth / 4.0, np.exp(-np.maximum(time - 5.0, 0.0)))
+    force += 0.005 * np.random.default_rng(5).standard_normal(time.size)
+    force[lost] = level_N
+    return Trial("loin", time, depth, force)
+
+
+@pytest.mark.parametrize("lost", [slice(150, 153), slice(300, 301), slice(450, 470), slice(700, 706)])
+def test_a_signal_that_is_lost_for_a_moment_is_no_rupture(lost: slice) -> None:
+    trial, whole = lossy(lost), lossy(slice(0, 0))
+    found = dropouts(trial.force_N, trial.displacement_mm, noise=0.005)
+    assert np.flatnonzero(found).tolist() == list(range(lost.start, lost.stop))
+    np.testing.assert_allclose(bridged(trial.force_N, found), whole.force_N, atol=0.05)
+    divided, sound = segment(trial), segment(whole)
+    assert divided.events == sound.events
+    assert [(one.kind, one.start, one.stop) for one in divided.phases] == [
+        (one.kind, one.start, one.stop) for one in sound.phases
+    ]
+
+
+def test_a_force_that_goes_with_the_tool_is_not_lost() -> None:
+    """A tool that lifts off for three samples and comes back, and a break that stays."""
+    trial = lossy(slice(700, 703))
+    away = trial.displacement_mm.copy()
+    away[700:703] = 0.0
+    assert not dropouts(trial.force_N, away, noise=0.005).any()
+    broken = trial.force_N.copy()
+    broken[700:] *= 0.3
+    assert not dropouts(broken, trial.displacement_mm, noise=0.005).any()
