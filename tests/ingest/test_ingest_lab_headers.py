@@ -49,6 +49,17 @@ def test_lines_that_thin_nothing_leave_the_rate(tmp_path: Path, line: str) -> No
     assert trial.time_s == pytest.approx(0.01 * np.arange(40))
 
 
+@pytest.mark.parametrize("line", ["Sample period (ms),10", "Scan Time = 0.01 sec", "DAQ rate: 100 pts/sec"])
+def test_further_names_of_a_rate_are_known(tmp_path: Path, line: str) -> None:
+    table = f"{NAMES}{ROWS}".replace(",", "\t")
+    trial = read(put(tmp_path / "a.txt", f"{line}\n{table}"))
+    assert trial.time_s == pytest.approx(0.01 * np.arange(40))
+
+
+def test_a_file_of_a_byte_order_mark_is_empty(tmp_path: Path) -> None:
+    assert refusal(put(tmp_path / "a.csv", b"\xef\xbb\xbf")).code == "empty_file"
+
+
 @pytest.mark.parametrize(
     ("names", "unit_s"),
     [

@@ -182,7 +182,7 @@ _SAMPLING = re.compile(
     r"|amostragem|probkowania|采样|サンプリング"
 )
 _OF_A_RATE = re.compile(r"rate|fre[qc]|czestotliwosc|率|レート|周波数")
-_OF_A_STEP = re.compile(r"interval|period|step|spacing|schritt|间隔|間隔|周期")
+_OF_A_STEP = re.compile(r"interval|period|step|spacing|schritt|scan time|间隔|間隔|周期")
 _BY_ITSELF = re.compile(r"(fs)|dt|delta ?[xt]")
 #: Names of what was kept of the samples; it is a rate where its unit or name says so.
 _KEPT = re.compile(
@@ -241,7 +241,7 @@ def stated_interval(metadata: Mapping[str, str], decimal: str) -> float | None:
     found: list[float] = []
     for key, text in metadata.items():
         if not text:  # of a line that is one cell
-            key, _, text = re.sub("[:=]", "\0", key, count=1).partition("\0")
+            key, _, text = re.sub("[:=,]", "\0", key, count=1).partition("\0")
         words = plain_words(key)
         many = _SO_MANY.fullmatch(text.strip().casefold())
         if many is not None and int(many[1]) > 1 and _THINNED.fullmatch(words):

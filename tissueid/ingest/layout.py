@@ -393,6 +393,8 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     raw = text.data[:HEAD_BYTES].splitlines(keepends=True)
     if len(text.data) > HEAD_BYTES:
         raw = raw[:-1]
+    if not text.data:
+        place.refuse("empty_file", "the file is empty; export the test again")
     if not raw:
         place.refuse("not_an_export", f"the first line is longer than {HEAD_BYTES} bytes: this is no table")
     for count in (_HEAD_LINES, len(raw)):  # of few headers the table begins so far down
