@@ -18,19 +18,14 @@ MUCH_SPREAD = 0.10
 FEWEST_RUNS, CHANCE, LEAST_CHANGE = 4, 0.01, 0.02
 #: Least difference of a first test from the others.
 FIRST_CHANGE = 0.05
-
-
-#: Flag of what differs, its words, the ratio to the specimen's, and the name of its spread.
-_SPREADS = (
-    ("gain_spread", "stiffness", "gain", "sd_ln_gain"),
-    ("relaxation_spread", "relaxation time", "time_ratio", "sd_ln_time"),
-)
+#: Ratio of a log to its specimen that may differ, its words, and the name of its spread.
+_SPREADS = (("gain", "stiffness", "sd_ln_gain"), ("time_ratio", "relaxation time", "sd_ln_time"))
 
 
 def spread_flags(trials: Sequence[TrialFit]) -> list[Flag]:
     """``gain_spread`` and ``relaxation_spread`` where the logs of a specimen differ much."""
     out: list[Flag] = []
-    for code, what, name, key in _SPREADS:
+    for name, what, key in _SPREADS:
         ratio = np.array([getattr(trial, name) for trial in trials])
         sd = float(np.log(ratio).std(ddof=1)) if ratio.size > 1 and (ratio > 0.0).all() else 0.0
         if sd > MUCH_SPREAD:
@@ -38,7 +33,7 @@ def spread_flags(trials: Sequence[TrialFit]) -> list[Flag]:
             ends = f"{ratio[low]:.2f} ({_name(trials[low])}) to {ratio[high]:.2f} ({_name(trials[high])})"
             message = f"{what} differs by {100 * sd:.0f} % (sd) between logs, from {ends}"
             values = {"lowest": float(ratio[low]), "highest": float(ratio[high]), key: sd}
-            out.append(Flag(code, message, values))
+            out.append(Flag("gain_spread" if name == "gain" else "relaxation_spread", message, values))
     return out
 
 
