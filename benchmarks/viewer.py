@@ -36,7 +36,7 @@ from websockets.sync.client import connect
 from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.plan import plan_session
 from tissueid.rendering.session import Session
-from tissueid.viewer.frames import HEAD, SAMPLE
+from tissueid.viewer.frames import read_frame
 from tissueid.viewer.hello import show_session
 from tissueid.viewer.serving import ServedViewer, ViewerOptions
 
@@ -77,12 +77,11 @@ def one_client(url: str, seconds: float, *, hung: bool) -> None:
                 data = link.recv(0.5)
                 if isinstance(data, bytes):
                     arrived = time.monotonic()
+                    frame = read_frame(data)
                     frames += 1
-                    dropped = int(np.frombuffer(data, HEAD, 1)["dropped"][0])
+                    dropped = frame.dropped
                     if arrived - begun > 1.0:
-                        ages += (
-                            arrived - np.frombuffer(data, SAMPLE, offset=HEAD.itemsize)["time_s"]
-                        ).tolist()
+                        ages += (arrived - frame.samples["time_s"]).tolist()
                     link.send(json.dumps({"v": 1, "answer": frames}))
     sys.stdout.write(json.dumps({"ages_ms": [round(S_TO_MS * age, 3) for age in ages], "dropped": dropped}))
 
@@ -172,7 +171,7 @@ def start_times() -> None:
             frames = 0
             while frames < 2:
                 data = link.recv()
-                frames += isinstance(data, bytes) and len(data) > HEAD.itemsize
+                frames += isinstance(data, bytes) and read_frame(data).samples.size > 0
             took = time.monotonic() - begun
         print(f"start to moving data at a client, {cache} cache: {took:.2f} s, {load()}")
 

@@ -20,9 +20,8 @@ from command_line import until
 from session_heads import head_of
 from websockets.sync.client import ClientConnection, connect
 
-from tissueid.arrays import RecordArray
 from tissueid.haptics.ring import PUBLISHED_AT, RECORD, Ring, write_ordered
-from tissueid.viewer.frames import ENDED, HEAD, MAGIC, SAMPLE, VERSION, LiveFeed
+from tissueid.viewer.frames import Frame, LiveFeed, read_frame
 from tissueid.viewer.hello import hello
 from tissueid.viewer.security import Access
 from tissueid.viewer.server import HandPointer, Stage, ViewerServer
@@ -98,37 +97,6 @@ def greeted(url: str, **options: Any) -> Iterator[ClientConnection]:
     with client(url, **options) as connection:
         assert json.loads(connection.recv(PATIENCE_S))["type"] == "hello"
         yield connection
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Frame:
-    """A frame that was read."""
-
-    first: int  # number of the first sample since the session began
-    samples: RecordArray  # (n,)
-    dropped: int  # samples this client was too slow for, so far
-    round_trip_us: int
-    now_s: float  # the source's clock when the frame was made [s]
-    ended: bool
-
-
-def read_frame(data: bytes) -> Frame:
-    """The inverse of :func:`write_frame`; ValueError: it is no frame of this version, or not whole."""
-    if len(data) < HEAD.itemsize:
-        raise ValueError(f"a frame has a head of {HEAD.itemsize} bytes, this one is {len(data)} bytes long")
-    head = np.frombuffer(data, HEAD, 1)[0]
-    if head["magic"] != MAGIC or head["version"] != VERSION:
-        raise ValueError(f"no frame of version {VERSION}: it begins with {data[:4]!r}")
-    if len(data) != HEAD.itemsize + int(head["count"]) * SAMPLE.itemsize:
-        raise ValueError(f"a frame of {head['count']} samples can't have {len(data)} bytes")
-    return Frame(
-        int(head["first"]),
-        np.frombuffer(data, SAMPLE, offset=HEAD.itemsize),
-        int(head["dropped"]),
-        int(head["round_trip_us"]),
-        float(head["now_s"]),
-        bool(head["flags"] & ENDED),
-    )
 
 
 def frame_of(connection: ClientConnection) -> Frame:

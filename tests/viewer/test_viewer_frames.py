@@ -10,7 +10,7 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 from command_line import until
-from live_server import Frame, append, frame_of, greeted, read_frame, record, served
+from live_server import append, frame_of, greeted, record, served
 from session_heads import head_of
 
 from tissueid.haptics.ring import RECORD, Ring
@@ -42,7 +42,7 @@ def some_records(count: int, seed: int = 1) -> np.ndarray:
 
 def test_every_field_arrives_with_the_digits_of_the_layout():
     records = some_records(50)
-    frame = read_frame(
+    frame = frames.read_frame(
         frames.write_frame(frames.samples_of(records), first=7, now_s=12.5, dropped=3, round_trip_us=9)
     )
     assert (frame.first, frame.now_s, frame.dropped, frame.round_trip_us) == (7, 12.5, 3, 9)
@@ -83,7 +83,7 @@ def test_a_frame_that_is_not_whole_or_of_another_version_is_refused(cut, version
     data = bytearray(frames.write_frame(frames.samples_of(some_records(2)), first=0, now_s=0.0))
     data[2] = version
     with pytest.raises(ValueError, match=why):
-        read_frame(bytes(data[:cut]))
+        frames.read_frame(bytes(data[:cut]))
 
 
 def test_the_hello_says_what_is_drawn_and_which_lamp_is_which():
@@ -171,9 +171,9 @@ def fill(ring: Ring, count: int, first: int = 0) -> None:
         append(ring, record(number))
 
 
-def shown(one: frames.Client) -> Frame:
+def shown(one: frames.Client) -> frames.Frame:
     """The frame that is to be sent now."""
-    return read_frame(one.next_frame())
+    return frames.read_frame(one.next_frame())
 
 
 def test_a_client_gets_every_sample_in_order(ring, feed):
@@ -199,7 +199,7 @@ def test_a_client_that_hung_goes_on_with_the_newest_and_knows_what_it_missed(rin
         fill(ring, 10, 10 * (sent - 1))
         feed.pump()
         if data is not None:
-            received += read_frame(data).samples.size
+            received += frames.read_frame(data).samples.size
     # more than it is kept for passes while it draws nothing
     for turn in range(5):
         fill(ring, 1000, 10 * sent + 1000 * turn)

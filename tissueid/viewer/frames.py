@@ -19,6 +19,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -71,6 +72,18 @@ SAMPLE = np.dtype(
 _TICKS = 2**32
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """A frame that was read."""
+
+    first: int  # number of the first sample since the session began
+    samples: RecordArray  # (n,)
+    dropped: int  # samples this client was too slow for, so far
+    round_trip_us: int
+    now_s: float  # the source's clock when the frame was made [s]
+    ended: bool
+
+
 #: Methods by which a DataView of a page reads a number of a type.
 READERS = {
     "<f8": "getFloat64", "<f4": "getFloat32", "<u4": "getUint32", "<u2": "getUint16", "|u1": "getUint8"
@@ -105,13 +118,32 @@ def write_frame(
     round_trip_us: int = 0,
     ended: bool = False,
 ) -> bytes:
-    """One message; its head as in :mod:`tissueid.viewer.frames`."""
+    """One message; ``first`` and the others as in :class:`Frame`."""
     head = np.zeros((), HEAD)
     head["magic"], head["version"] = MAGIC, VERSION
     head["flags"] = ENDED if ended else 0
     head["count"], head["first"], head["now_s"] = samples.size, first, now_s
     head["dropped"], head["round_trip_us"] = min(dropped, _TICKS - 1), min(round_trip_us, _TICKS - 1)
     return head.tobytes() + samples.tobytes()
+
+
+def read_frame(data: bytes) -> Frame:
+    """The inverse of :func:`write_frame`; ValueError: it is no frame of this version, or not whole."""
+    if len(data) < HEAD.itemsize:
+        raise ValueError(f"a frame has a head of {HEAD.itemsize} bytes, this one is {len(data)} bytes long")
+    head = np.frombuffer(data, HEAD, 1)[0]
+    if head["magic"] != MAGIC or head["version"] != VERSION:
+        raise ValueError(f"no frame of version {VERSION}: it begins with {data[:4]!r}")
+    if len(data) != HEAD.itemsize + int(head["count"]) * SAMPLE.itemsize:
+        raise ValueError(f"a frame of {head['count']} samples can't have {len(data)} bytes")
+    return Frame(
+        int(head["first"]),
+        np.frombuffer(data, SAMPLE, offset=HEAD.itemsize),
+        int(head["dropped"]),
+        int(head["round_trip_us"]),
+        float(head["now_s"]),
+        bool(head["flags"] & ENDED),
+    )
 
 
 #: Samples in one frame, and the furthest a client may lie behind: 2 s at 1 kHz, 144 kB.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -145,6 +146,15 @@ FAULT_KINDS = {
     "creep": "encoder 1 runs away by `size` counts a second",
     "unhomed": "leg 2 is no longer homed",
     "stall": "the answer comes `size` milliseconds late",
+}
+#: An answer as a fault of the wire leaves it.
+SPOILT: dict[str, Callable[[bytes], bytes]] = {
+    "unplug": lambda _packet: b"",
+    "silence": lambda _packet: b"",
+    "bad packets": lambda packet: packet[:1] + bytes(letter | 0x80 for letter in packet[1:15]) + packet[15:],
+    "short": lambda packet: packet[:13] + packet[15:],
+    "garbled": lambda packet: packet[:6] + bytes([packet[6] ^ 0x20]) + packet[7:],
+    "doubled": lambda packet: packet + packet,
 }
 #: Kinds that spoil one answer where no duration is given.
 SINGLE = frozenset({"short", "garbled", "doubled", "stall"})
@@ -398,22 +408,8 @@ class EmulatedFalcon:
         self.answer_delay_s = size * 1e-3 if kind == "stall" else 0.0
         # counts wrap at 16 bits
         spelled = b"".join(SPELLING[(count + 32768) % 65536 - 32768] for count in (first, second, third))
-        return self._spoilt(b"<" + spelled + bytes([0x41 + HELD_BUTTON + (homed << 4)]) + b"A>", kind)
-
-    @staticmethod
-    def _spoilt(packet: bytes, kind: str) -> bytes:
-        """The packet as a fault of the wire leaves it."""
-        if kind in {"unplug", "silence"}:
-            return b""
-        if kind == "bad packets":
-            return packet[:1] + bytes(letter | 0x80 for letter in packet[1:15]) + packet[15:]
-        if kind == "short":
-            return packet[:13] + packet[15:]
-        if kind == "garbled":
-            return packet[:6] + bytes([packet[6] ^ 0x20]) + packet[7:]
-        if kind == "doubled":
-            return packet + packet
-        return packet
+        packet = b"<" + spelled + bytes([0x41 + HELD_BUTTON + (homed << 4)]) + b"A>"
+        return SPOILT[kind](packet) if kind in SPOILT else packet
 
     def _fault(self) -> ScriptedFault | None:
         """The first scripted fault that is on; one that spoils a single answer is then used up."""
