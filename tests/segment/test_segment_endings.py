@@ -20,33 +20,23 @@ def drawn(knots_s: list[float], depths_mm: list[float], **protocol: float) -> Tr
     return Trial("drawn", time, depth, 10.0 * depth + noise, Protocol(**protocol))
 
 
-def test_a_ramp_short_of_its_stated_depth_was_aborted() -> None:
-    found = segment(drawn([0, 5], [0, 5], depth_mm=8.0))
+@pytest.mark.parametrize(
+    ("knots", "depths", "protocol", "time_s", "values"),
+    [
+        ([0, 5], [0, 5], {"depth_mm": 8.0}, 5.0, {"reached_mm": 5.0, "stated_mm": 8.0}),
+        ([0, 5], [0, 5], {"hold_s": 30.0}, 5.0, {"stated_hold_s": 30.0}),
+        ([0, 5, 8], [0, 5, 0], {"hold_s": 30.0}, 5.0, {"stated_hold_s": 30.0}),
+        ([0, 2, 6, 8, 12, 12.8], [0, 2, 2, 4, 4, 4.8], {}, 12.8, {"reached_mm": 4.8, "earlier_mm": 2.0}),
+        ([0, 3, 6, 9, 12, 13.5], [0, 3, 0, 3, 0, 1.5], {}, 13.5, {}),
+    ],
+    ids=["short of its depth", "no hold", "back without a hold", "a short step", "a short loop"],
+)
+def test_a_test_that_ended_early_was_aborted(knots, depths, protocol, time_s, values) -> None:
+    found = segment(drawn(knots, depths, **protocol))
     (event,) = events(found, "abort")
-    assert event.values["reached_mm"] == pytest.approx(5.0, abs=0.02)
-    assert event.values["stated_mm"] == 8.0
-    assert event.time_s == pytest.approx(5.0, abs=0.02)
+    assert event.time_s == pytest.approx(time_s, abs=0.03)
+    assert {key: event.values[key] for key in values} == pytest.approx(values, abs=0.05)
     assert "aborted_ramp" in codes(found)
-
-
-@pytest.mark.parametrize("after", [[], [8.0]])
-def test_a_ramp_without_its_stated_hold_was_aborted(after: list[float]) -> None:
-    found = segment(drawn([0, 5, *after], [0, 5, *([0] if after else [])], hold_s=30.0))
-    (event,) = events(found, "abort")
-    assert event.values["stated_hold_s"] == 30.0
-    assert event.time_s == pytest.approx(5.0, abs=0.03)
-
-
-def test_a_last_step_that_ends_early_was_aborted() -> None:
-    found = segment(drawn([0, 2, 6, 8, 12, 12.8], [0, 2, 2, 4, 4, 4.8]))
-    (event,) = events(found, "abort")
-    assert event.values["reached_mm"] == pytest.approx(4.8, abs=0.05)
-    assert event.values["earlier_mm"] == pytest.approx(2.0, abs=0.02)
-
-
-def test_a_last_loop_that_ends_early_was_aborted() -> None:
-    found = segment(drawn([0, 3, 6, 9, 12, 13.5], [0, 3, 0, 3, 0, 1.5]))
-    assert len(events(found, "abort")) == 1
 
 
 @pytest.mark.parametrize(

@@ -50,21 +50,6 @@ def test_each_log_of_the_named_protocol_is_divided_at_its_corner(rate_Hz):
         assert "preload" not in codes(found)
 
 
-@pytest.mark.parametrize("dwell_s", [0.0, 0.1])
-def test_cyclic_test_gives_cycles_and_no_hold(dwell_s):
-    loop = [Move(4.0, 100.0), Hold(dwell_s), Move(0.5, 100.0), Hold(dwell_s)]
-    moves = tuple(move for move in loop * 4 if not (isinstance(move, Hold) and dwell_s == 0.0))
-    found = segment(trial_of(Log("c", moves)))
-    assert kinds(found) == ["cycle"] * 4
-    assert {"cyclic", "no_hold"} <= codes(found)
-    starts = [phase.start_s for phase in found.phases]
-    first = 4.0 / (100.0 / 60.0)
-    loop_s = 2 * 3.5 / (100.0 / 60.0) + 2 * dwell_s
-    assert starts == pytest.approx(
-        [0.0] + [first + 3.5 / (100 / 60) + 2 * dwell_s + k * loop_s for k in range(3)], abs=0.15
-    )
-
-
 LOOP = (Move(2.0, 200.0), Move(0.2, 200.0))
 STEPS = tuple(step for k in range(1, 5) for step in (Move(float(k), 100.0), Hold(2.0)))
 
@@ -88,36 +73,6 @@ def test_programs_have_their_phases(moves, expected, said):
 def test_user_may_ask_for_short_holds():
     trial = trial_of(Log("d", (Move(8.0, 10.0), Hold(0.3))))
     assert kinds(segment(trial, options=SegmentOptions(minimum_hold_s=0.2))) == ["ramp", "hold"]
-
-
-def test_rounded_stop_puts_the_hold_where_the_plateau_begins():
-    found = segment(
-        trial_of(Log("r", (Move(4.0, 250.0), Hold(5.0))), rate_Hz=1000.0, crosshead_rounding_s=0.2)
-    )
-    assert kinds(found) == ["ramp", "hold"]
-    # half the rounding after the nominal corner; the last 5e-4 of the travel is below the tolerance
-    assert 0.96 <= found.phases[1].start_s <= 0.96 + 0.1 + 0.003
-
-
-def test_event_rows_gaps_and_equal_times_do_not_make_phases():
-    trial = trial_of(Log("e", (Move(4.0, 250.0), Hold(5.0))))
-    time_s = np.array(trial.time_s)
-    corner = int(np.searchsorted(time_s, 0.96))
-    keep = (time_s < 2.0) | (time_s > 4.0)
-    order = np.sort(np.concatenate([np.flatnonzero(keep), [0, corner, time_s.size - 1]]))
-    time_s = time_s[order]
-    time_s[np.flatnonzero(np.diff(order) == 0) + 1] += np.array([0.0, 0.001, 0.001])
-    found = segment(Trial("e", time_s, trial.displacement_mm[order], trial.force_N[order]))
-    assert kinds(found) == ["ramp", "hold"]
-    assert found.phases[1].start_s == pytest.approx(0.96, abs=0.03)
-
-
-def test_different_sampling_in_ramp_and_hold():
-    trial = trial_of(Log("m", (Move(4.0, 250.0), Hold(30.0))), rate_Hz=1000.0)
-    order = np.concatenate([np.arange(0, 1000), np.arange(1000, trial.time_s.size, 100)])
-    found = segment(Trial("m", trial.time_s[order], trial.displacement_mm[order], trial.force_N[order]))
-    assert kinds(found) == ["ramp", "hold"]
-    assert found.phases[1].start_s == pytest.approx(0.96, abs=0.003)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
