@@ -28,24 +28,6 @@ def printed(how: Dialect = BARE, count: int = 60) -> str:
     return bluehill_csv(log_of(count), dialect=how).decode(how.encoding)
 
 
-@pytest.mark.parametrize(
-    ("encoding", "names", "label"),
-    [
-        ("latin-1", ("Tempo", "Extensão", "Força"), "Rótulo do corpo de prova"),
-        ("ascii", ("Tempo", "Spostamento", "Forza"), "Etichetta provino"),
-        ("cp1250", ("Czas", "Przemieszczenie", "Obciążenie"), "Etykieta próbki"),
-        ("gbk", ("时间", "位移", "力"), "试样标签"),
-    ],
-)
-def test_localised_names_and_encodings(tmp_path, encoding, names, label):
-    table = printed(replace(BARE, delimiter=";", names=names, encoding=encoding))
-    trial = read(written(tmp_path, f'Text : {label};"A 7"\r\n\r\n{table}', encoding=encoding))
-    assert_equal(trial, "bare", log_of(60))
-    assert trial.source.encoding == encoding
-    assert dict(trial.source.columns) == dict(zip(("time", "displacement", "force"), names, strict=True))
-    assert trial.specimen == "A 7"
-
-
 def test_spreadsheet_quotes_only_where_a_thousand_is_reached(tmp_path):
     lines = printed(Dialect(header=False, quoted=True, thousands=",")).splitlines()
     rows = ((cell if "," in cell else cell.strip('"') for cell in line.split('","')) for line in lines[2:])
@@ -110,15 +92,6 @@ def test_a_last_zero_without_a_line_end_is_whole_where_zeros_are_left_off(tmp_pa
     assert (trial.time_s.size, codes(trial)) == (size, said)
 
 
-def test_lines_without_numbers_are_left_out_and_flagged(tmp_path):
-    lines = printed(count=10).splitlines(keepends=True)
-    lines.insert(5, "paused by operator\r\n")
-    trial = read(written(tmp_path, "".join(lines)))
-    assert_equal(trial, "bare", log_of(10))
-    (flag,) = trial.flags
-    assert (flag.code, flag.values["lines"]) == ("rows_skipped", [6])
-
-
 def spoilt(line: int, cell: str, *, column: int = 2, how: Dialect = BARE) -> str:
     """A sound file of 60 rows with one cell replaced."""
     lines = printed(how).split("\r\n")
@@ -160,22 +133,9 @@ def test_destroyed_decimals_in_a_decimal_comma_file(tmp_path, cell, code):
     assert repr(cell) in error.message
 
 
-def test_a_whole_file_of_destroyed_decimals_names_its_first_bad_line(tmp_path):
-    body = "".join(f"{361 + i}.639.800;30.137.143;2.110.828\r\n" for i in range(30))
-    error = refusal(written(tmp_path, "Zeit;Traversenweg;Last\r\n(s);(mm);(N)\r\n" + body))
-    assert (error.code, error.line, error.column) == ("damaged_number", 3, 1)
-
-
 def test_time_running_backwards_is_refused_at_its_line(tmp_path):
     error = refusal(written(tmp_path, spoilt(30, "3.0", column=1)))
     assert (error.code, error.line, error.column) == ("time_backwards", 30, 1)
-
-
-def test_numbers_that_can_be_decimal_or_grouped_need_the_users_word(tmp_path):
-    body = "".join(f"{i + 1}.000;{i + 2}.500;{i + 3}.250\n" for i in range(20))
-    path = written(tmp_path, "Time;Extension;Load\n(s);(mm);(N)\n" + body)
-    assert refusal(path).code == "ambiguous_decimal"
-    assert read(path, ReadOptions(decimal=".")).displacement_mm[0] == 2.5
 
 
 def test_cr_only_without_names_is_refused_and_reads_with_a_map(tmp_path):

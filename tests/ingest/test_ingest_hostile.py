@@ -16,7 +16,6 @@ from ingest_files import put, read, refusal
 
 from tissueid.errors import InputError
 from tissueid.ingest import each_input, find_inputs, loading, read_each
-from tissueid.ingest.unpacking import too_much
 
 #: What reading may take: the libraries alone map about one GiB of address space.
 ADDRESS_SPACE = 3 << 30
@@ -141,11 +140,6 @@ def test_what_keeps_a_file_from_being_read_is_told(tmp_path, monkeypatch, fault,
     monkeypatch.setattr(loading.os, "read", failing)
     error = refusal(path)
     assert (error.code, word in error.message) == ("unreadable_file", True)
-
-
-def test_the_sheet_of_a_binary_workbook_is_measured() -> None:
-    data = hostile.hostile_workbooks()["far.xlsb"]
-    assert "row 1048576, column 16384" in str(too_much(data))
 
 
 @linux_only

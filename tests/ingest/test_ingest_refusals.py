@@ -1,22 +1,27 @@
-"""What is no recording: refused by name and reason, never with a traceback."""
+"""What is no recording is refused by name and reason; tables in HTML and XML; readers of others."""
 
 from __future__ import annotations
 
+import importlib
 import json
+import re
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from ingest_files import put, read, refusal, workbook
+from ingest_files import codes, put, read, refusal, workbook
 
 from tissueid.errors import InputError, UsageError
 from tissueid.ingest import (
     REFUSAL_CODES,
     ReadOptions,
     find_inputs,
+    forget_readers,
     match_of,
     read_each,
-    read_one,
     read_trials,
+    reader_faults,
 )
 from tissueid.ingest.refusals import Place
 
@@ -35,7 +40,7 @@ RESULTS = "Specimen,Maximum load (N),Modulus (MPa)\nA,12.5,3.1\nB,13.5,3.4\nC,11
 
 WRONG = {
     "png": (PNG, "not_an_export", "PNG"),
-    "png named csv": (PNG, "not_an_export", "PNG"),
+    "NUL bytes": (bytes(4000), "empty_file", "empty"),
     "empty": (b"", "empty_file", "empty"),
     "blank lines": (b"\r\n\r\n \r\n", "empty_file", "empty"),
     "json": (json.dumps({"time": [0, 1], "force": [1, 2]}).encode(), "not_an_export", "JSON"),
@@ -143,13 +148,6 @@ def test_a_workbook_without_a_trial_says_what_it_saw(tmp_path):
     assert "Fmax" in error.message
 
 
-def test_unknown_sheet_names_the_trials(tmp_path):
-    path = workbook(tmp_path / "t.xlsx", {"a": trial_sheet("a")})
-    with pytest.raises(InputError, match="'a'") as caught:
-        read_one(path, "b")
-    assert caught.value.code == "unknown_sheet"
-
-
 def test_recipe_says_why_and_can_be_forced(tmp_path):
     path = put(tmp_path / "a.csv", GOOD)
     match = match_of(path)
@@ -179,3 +177,198 @@ def test_options_that_make_no_sense_are_usage_errors(wrong):
 def test_refusal_codes_are_closed():
     with pytest.raises(ValueError, match="unknown refusal code"):
         Place("a.csv").refusal("nonsense", "")
+
+
+COUNT = 3_000  # more than the first 64 KiB
+TABLE = [(k * 0.02, min(k * 0.01, 6.0), max(k * 0.01 - 1.0, 0.0) ** 2) for k in range(COUNT)]
+
+
+def html(number: str, names: tuple[str, ...] = ("Time (s)", "Weg (µm)", "Load (N)")) -> str:
+    def row(cells: tuple[str, ...], tag: str = "td") -> str:
+        return "<TR>" + "".join(f"<{tag} class=x>{cell}</{tag}>" for cell in cells) + "</TR>\n"
+
+    body = "".join(row((f"{t:.4f}", f"<b>{1e3 * x:.1f}</b>", number.format(f))) for t, x, f in TABLE)
+    style = "<style>td {mso-number-format:1,2,3}</style><title>1 2 3</title>"
+    table = f"<table border=1>{row(names, 'th')}{body}</table>"
+    return f"<html><head>{style}</head><body>{table}</body></html>"
+
+
+def xml(indexed: bool) -> str:
+    def row(cells: tuple[object, ...], kind: str) -> str:
+        index = ["", ' ss:Index="3"' if indexed else "", ""]
+        return (
+            "<Row>"
+            + "".join(
+                f'<Cell{at}><Data ss:Type="{kind}">{cell}</Data></Cell>'
+                for at, cell in zip(index, cells, strict=True)
+            )
+            + "</Row>"
+        )
+
+    names = row(("Time (s)", "Extension (mm)", "Load (N)"), "String")
+    body = "".join(row((round(t, 4), round(x, 4), round(f, 4)), "Number") for t, x, f in TABLE)
+    opening = '<?xml version="1.0"?>\n<Workbook xmlns:ss="urn:schemas-microsoft-com:office:spreadsheet">'
+    sheet = f'<Worksheet ss:Name="S"><Table><Column/>{names}{body}</Table></Worksheet>'
+    return f"{opening}<DocumentProperties><Title>a</Title></DocumentProperties>{sheet}</Workbook>"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252"])
+def test_a_page_with_one_table_is_read_as_the_table(tmp_path: Path, encoding: str) -> None:
+    path = put(tmp_path / "a.xls", html("{:.3f}"), encoding)
+    trial = read(path)
+    assert codes(trial) == []
+    assert trial.time_s.size == COUNT
+    assert (trial.displacement_mm[250], trial.force_N[250]) == pytest.approx((2.5, 2.25))
+
+
+@pytest.mark.parametrize("indexed", [False, True])
+def test_a_sheet_of_the_old_xml_is_read_with_its_empty_columns(tmp_path: Path, indexed: bool) -> None:
+    path = put(tmp_path / "a.xls", xml(indexed))
+    assert find_inputs([tmp_path]) == [path]
+    trial = read(path)
+    assert trial.time_s.size == COUNT
+    assert (trial.displacement_mm[250], trial.force_N[250]) == pytest.approx((2.5, 2.25))
+
+
+def test_a_number_that_a_page_damaged_is_refused(tmp_path: Path) -> None:
+    text = html("{:.3f}").replace(">2.250<", ">2.2.50<")
+    assert refusal(put(tmp_path / "a.xls", text)).code == "damaged_number"
+
+
+@pytest.mark.parametrize("size", [10, 100_000])
+def test_a_page_without_a_table_is_no_export(tmp_path: Path, size: int) -> None:
+    error = refusal(put(tmp_path / "a.xls", "<html><body>" + "<p>1,2,3</p>\n" * size + "</body></html>"))
+    assert error.code == "not_an_export"
+    assert "HTML" in error.message
+
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "readers.md"
+INDENTO = "INDENTO 1\nsample=A 7\nspeed=0.5\nms um mN\n0 0 0.5\n10 5 2.5\n20 10 6.5\n"
+BARE = "Time,Extension,Load\n(s),(mm),(N)\n0.0,0.0,0.1\n0.1,0.5,0.2\n0.2,1.0,0.4\n"
+
+
+def example() -> str:
+    """The module printed in the document: what is documented is what is tested."""
+    (code,) = re.findall(r"```python\n(# indento\.py\n.*?)```", DOCUMENT.read_text(), re.DOTALL)
+    return str(code)
+
+
+def install(folder: Path, name: str, module: str) -> None:
+    """A distribution as an installer leaves it: a module, and its metadata with the entry point."""
+    (folder / f"{name}.py").write_text(module)
+    info = folder / f"{name}-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[tissueid.readers]\n{name} = {name}:RECIPE\n")
+    forget_readers()
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    folder = tmp_path / "site"
+    folder.mkdir()
+    monkeypatch.syspath_prepend(str(folder))
+    before = set(sys.modules)
+    forget_readers()
+    yield folder
+    forget_readers()
+    for name in set(sys.modules) - before:
+        if (folder / f"{name}.py").exists():
+            del sys.modules[name]
+    importlib.invalidate_caches()
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return put(tmp_path / "synthetic.indento", INDENTO)
+
+
+@pytest.fixture
+def bare(tmp_path: Path) -> Path:
+    return put(tmp_path / "synthetic.csv", BARE)
+
+
+def test_the_worked_example_reads_a_file_that_nothing_else_knows(site: Path, log: Path) -> None:
+    refusal(log)
+    install(site, "indento", example())
+    trial = read(log)
+    assert trial.time_s.tolist() == [0.0, 0.01, 0.02]
+    assert trial.displacement_mm.tolist() == [0.0, 0.005, 0.01]
+    # parse, factor, product: a rounding each
+    assert trial.force_N.tolist() == pytest.approx([0.0005, 0.0025, 0.0065], rel=5e-16)
+    assert trial.specimen == "A 7"
+    assert trial.protocol.speed_mm_s == 0.5
+    assert (trial.source.recipe, trial.source.recipe_reason) == ("indento", "the file begins INDENTO")
+    assert reader_faults() == ()
+    assert match_of(log, ReadOptions(recipe="indento")).recipe.key == "indento"
+    with pytest.raises(UsageError, match="indento"):
+        match_of(log, ReadOptions(recipe="other"))
+    log.write_text(INDENTO.replace("10 5 2.5", "10 5,5 2.5"))
+    error = refusal(log)
+    assert (error.code, error.line, error.column) == ("inconsistent_decimal", 6, 2)
+
+
+TAKES_OUR_KEY = """
+from tissueid.ingest import Recipe
+RECIPE = Recipe('bluehill-csv', 'x', lambda file: (1.0, 'mine'), lambda file: iter(()))
+"""
+BROKEN = {
+    "does not import": ("import no_such_module_anywhere\n", "ModuleNotFoundError"),
+    "is no Python": ("def (:\n", "SyntaxError"),
+    "has no such object": ("OTHER = 1\n", "AttributeError"),
+    "is no recipe": ("RECIPE = 'mine'\n", "TypeError"),
+    "raises what it likes": ("raise RuntimeError('today not')\n", "today not"),
+    "takes a key of ours": (TAKES_OUR_KEY, "taken"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_reader_that_cannot_be_loaded_is_named_and_stops_nobody(site: Path, bare: Path, name: str) -> None:
+    module, word = BROKEN[name]
+    install(site, "broken_reader", module)
+    trial = read(bare)
+    assert trial.source.recipe == "bluehill-csv"
+    (fault,) = reader_faults()
+    assert "broken_reader" in fault
+    assert word in fault
+
+
+def test_a_reader_that_breaks_while_it_looks_is_out_for_that_file(site: Path, bare: Path) -> None:
+    module = (
+        "from tissueid.ingest import Recipe\n"
+        "def detect(file):\n    raise KeyError('gone')\n"
+        "RECIPE = Recipe('breaks', 'x', detect, lambda file: iter(()))\n"
+    )
+    install(site, "breaking", module)
+    trial = read(bare)
+    assert trial.source.recipe == "bluehill-csv"
+    (fault,) = reader_faults()
+    assert "'breaks'" in fault
+    assert str(bare) in fault
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "raise ZeroDivisionError('oh')",
+        "yield 'no table'",
+        "yield Table(np.array([0.0, 1.0]), np.array([0.0]), np.array([1.0, 2.0]), NAMES)",
+        "yield Table(np.array([1.0, 0.0]), np.zeros(2), np.zeros(2), NAMES)",
+        "yield Table(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), {'time': 't'})",
+    ],
+)
+def test_a_reader_that_breaks_while_it_reads_is_a_refusal_of_that_file(site, bare, tmp_path, body) -> None:
+    module = (
+        "import numpy as np\nfrom tissueid.ingest import Recipe, Table\n"
+        "NAMES = dict.fromkeys(('time', 'displacement', 'force'), 'a')\n"
+        "def detect(file):\n"
+        "    return (1.0, 'mine') if file.path.endswith('mine.csv') else (0.0, 'not mine')\n"
+        f"def read(file):\n    {body}\n    yield from ()\n"
+        "RECIPE = Recipe('breaks', 'x', detect, read)\n"
+    )
+    install(site, "breaking", module)
+    error = refusal(put(tmp_path / "mine.csv", BARE))
+    assert error.code == "reader_failed"
+    assert "'breaks'" in error.message
+    assert "--recipe" in error.message
+    read(bare)

@@ -1,4 +1,4 @@
-"""Tables by spaces, clock times, and clocks that are coarser than the sampling, made plain line for line."""
+"""Tables by spaces, clock times, coarse clocks, and the rate of the samples where no column is a time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ingest_files import codes, put, refusal, workbook, zipped
+from ingest_files import codes, put, read, refusal, workbook, zipped
 
 from tissueid.errors import InputError
 from tissueid.ingest import ReadOptions, read_trials
@@ -24,7 +24,7 @@ def table(row, head: str = "") -> str:
     return head + "".join(row(*one) for one in zip(TIME, DEPTH, FORCE, strict=True))
 
 
-def read(path: Path, text: str, **options):
+def read_text(path: Path, text: str, **options):
     path.write_text(text, encoding="utf-8")
     (trial,) = read_trials(path, ReadOptions(**options))
     return trial
@@ -48,7 +48,7 @@ def test_columns_by_spaces_are_columns_under_their_names(head: str, tmp_path: Pa
     # a minus need not be a hyphen
     more = " ".join(f"{k}.12345678" for k in range(24)) if "channel" in head else ""
     text = table(lambda t, x, f: f"  {t:8.3f}  {x:9.4f} {f:10.4f}  {more}\n".replace("-", "\u2212"), head)
-    trial = read(tmp_path / "a.txt", text)
+    trial = read_text(tmp_path / "a.txt", text)
     assert trial.time_s == pytest.approx(TIME, abs=1e-9)
     assert trial.displacement_mm == pytest.approx(DEPTH, abs=1e-4)
     assert trial.force_N == pytest.approx(FORCE, abs=1e-4)
@@ -60,12 +60,12 @@ def test_columns_by_spaces_are_columns_under_their_names(head: str, tmp_path: Pa
 def test_a_matrix_saved_as_text_is_read_by_column_numbers(tmp_path: Path, form: str) -> None:
     text = table(form.format)
     named = {"time": "#1", "displacement": "#2", "force": "#3"}
-    trial = read(tmp_path / "a.dat", text, columns=named)
+    trial = read_text(tmp_path / "a.dat", text, columns=named)
     assert trial.force_N == pytest.approx(FORCE, abs=1e-6)
-    counted = read(tmp_path / "b.dat", f"{len(FORCE)}\n{text}", columns=named)
+    counted = read_text(tmp_path / "b.dat", f"{len(FORCE)}\n{text}", columns=named)
     assert (counted.source.columns, counted.time_s.size) == (named, len(FORCE))
     with pytest.raises(InputError, match="name them by their numbers, as in --columns time=#1"):
-        read(tmp_path / "a.dat", text)
+        read_text(tmp_path / "a.dat", text)
 
 
 def test_a_damaged_row_by_spaces_is_named_by_its_line(tmp_path: Path) -> None:
@@ -73,9 +73,9 @@ def test_a_damaged_row_by_spaces_is_named_by_its_line(tmp_path: Path) -> None:
     for damaged in (350, 120):
         rows = [*lines[:damaged], "3.490 4.0000", *lines[damaged + 1 :]]
         with pytest.raises(InputError) as caught:
-            read(tmp_path / "a.txt", "\n".join(rows) + "\n")
+            read_text(tmp_path / "a.txt", "\n".join(rows) + "\n")
         assert caught.value.line == damaged + 1
-    assert "cut_row" in codes(read(tmp_path / "a.txt", "\n".join([*lines, "4.000 4.0"])))
+    assert "cut_row" in codes(read_text(tmp_path / "a.txt", "\n".join([*lines, "4.000 4.0"])))
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_clock_times_are_seconds_even_past_midnight(clock, delimiter, decimal, t
         return delimiter.join(cells) + "\n"
 
     head = delimiter.join(["Timestamp", "Displacement (mm)", "Force (N)"]) + "\n"
-    trial = read(tmp_path / "a.csv", table(row, head))
+    trial = read_text(tmp_path / "a.csv", table(row, head))
 
     # a stamp prints milliseconds
     assert trial.time_s - trial.time_s[0] == pytest.approx(TIME, abs=1.1e-3)
@@ -123,7 +123,7 @@ def test_halves_of_a_day_are_told_apart(tmp_path: Path) -> None:
         hour, half = (11, "AM") if second < 60.0 else (12, "PM")
         return f'"{hour}:{59 if half == "AM" else 0:02d}:{second % 60.0:06.3f} {half}",{x:.4f},{f:.4f}\n'
 
-    trial = read(tmp_path / "a.csv", table(row, "Time,Extension (mm),Load (N)\n"))
+    trial = read_text(tmp_path / "a.csv", table(row, "Time,Extension (mm),Load (N)\n"))
     assert trial.time_s[0] == pytest.approx(43198.0)
     assert np.ptp(trial.time_s) == pytest.approx(np.ptp(TIME), abs=2e-3)
 
@@ -133,7 +133,7 @@ def test_the_time_of_the_test_wins_over_a_stamp(tmp_path: Path) -> None:
         lambda t, x, f: f"10:00:{t:06.3f},{t:.2f},{x:.4f},{f:.4f}\n",
         "Timestamp,Time (s),Displacement (mm),Force (N)\n",
     )
-    trial = read(tmp_path / "a.csv", text)
+    trial = read_text(tmp_path / "a.csv", text)
     assert trial.time_s[0] == 0.0
     assert "column_choice" in {flag.code for flag in trial.flags}
 
@@ -145,7 +145,7 @@ def test_a_labview_measurement_is_read_with_its_names(tmp_path: Path) -> None:
         "Channels\t2\t\nSamples\t400\t400\nTime\t10:00:00.1\t10:00:00.1\nX0\t0.0\t0.0\nDelta_X\t0.01\t0.01\n"
         "***End_of_Header***\t\nX_Value\tDisplacement (mm)\tForce (N)\tComment\n"
     )
-    trial = read(tmp_path / "a.lvm", table(lambda t, x, f: f"{t:.6f}\t{x:.6f}\t{f:.6f}\n", head))
+    trial = read_text(tmp_path / "a.lvm", table(lambda t, x, f: f"{t:.6f}\t{x:.6f}\t{f:.6f}\n", head))
     assert trial.time_s == pytest.approx(TIME, abs=1e-9)
     assert trial.source.columns["force"] == "Force (N)"
     # an archive holds what a folder may hold
@@ -161,7 +161,9 @@ def test_a_labview_measurement_repeats_its_head_for_every_segment(tmp_path: Path
     )
     rows = table(lambda t, x, f: f"{t:.6f}\t{x:.6f}\t{f:.6f}\n", "").splitlines(keepends=True)
     parts = [segment.format(k / 100) + "".join(rows[k : k + 100]) + "\n" for k in range(0, len(rows), 100)]
-    trial = read(tmp_path / "a.lvm", "LabVIEW Measurement\t\n***End_of_Header***\t\n\t\n" + "".join(parts))
+    trial = read_text(
+        tmp_path / "a.lvm", "LabVIEW Measurement\t\n***End_of_Header***\t\n\t\n" + "".join(parts)
+    )
     assert trial.time_s == pytest.approx(TIME, abs=1e-9)
     assert trial.force_N == pytest.approx(FORCE, abs=1e-5)
 
@@ -169,7 +171,7 @@ def test_a_labview_measurement_repeats_its_head_for_every_segment(tmp_path: Path
 def test_a_remark_amid_columns_by_spaces_is_left_out(tmp_path: Path) -> None:
     rows = table(lambda t, x, f: f"{t:.2f} {x:.4f} {f:.4f}\n", "").splitlines(keepends=True)
     rows.insert(200, '# segment: 1 of "two" 2\n')
-    trial = read(tmp_path / "a.txt", "time_s z_mm force_N\n" + "".join(rows))
+    trial = read_text(tmp_path / "a.txt", "time_s z_mm force_N\n" + "".join(rows))
     assert trial.time_s == pytest.approx(TIME, abs=6e-3)
     assert "rows_skipped" in codes(trial)
 
@@ -177,7 +179,7 @@ def test_a_remark_amid_columns_by_spaces_is_left_out(tmp_path: Path) -> None:
 def test_a_serial_monitor_stamps_every_line(tmp_path: Path) -> None:
     rows = table(lambda t, x, f: f"10:00:{t:06.3f} -> {1000 * t:.0f},{x:.4f},{f:.4f}\n", "")
     head = "09:59:59.100 -> scale ready\n09:59:59.200 -> time_ms,position_mm,force_N\n"
-    trial = read(tmp_path / "a.txt", head + rows)
+    trial = read_text(tmp_path / "a.txt", head + rows)
     assert trial.source.columns["time"] == "time_ms"
     assert trial.force_N == pytest.approx(FORCE, abs=1e-4)
 
@@ -217,10 +219,10 @@ def test_whole_numbers_whose_marks_are_printed_have_lost_none(tmp_path: Path) ->
     bare = table(lambda t, x, f: f"{t:.2f},{1e3 * x:.0f},{1e3 * f:.1f}\n", head)
     powers = table(lambda t, x, f: f"{t:.2f},{100 * round(10 * x):.2E},{1e3 * f:.1f}\n", head)
     assert not {"no_decimals"} & {
-        *codes(read(tmp_path / "a.csv", text)),
-        *codes(read(tmp_path / "c.csv", powers)),
+        *codes(read_text(tmp_path / "a.csv", text)),
+        *codes(read_text(tmp_path / "c.csv", powers)),
     }
-    assert "no_decimals" in codes(read(tmp_path / "b.csv", bare))
+    assert "no_decimals" in codes(read_text(tmp_path / "b.csv", bare))
 
 
 @pytest.mark.parametrize(
@@ -261,7 +263,7 @@ def test_clocks_without_hours_and_with_milliseconds_behind_a_colon(tmp_path, nam
         return delimiter.join([stamp, *(f"{one:.4f}".replace(".", mark) for one in (x, f))]) + "\n"
 
     text = table(row, delimiter.join([name, "Displacement (mm)", "Force (N)"]) + "\n")
-    trial = read(tmp_path / "a.csv", text)
+    trial = read_text(tmp_path / "a.csv", text)
     assert trial.time_s - trial.time_s[0] == pytest.approx(TIME, abs=1e-9)
     assert trial.force_N == pytest.approx(FORCE, abs=1e-4)
     assert [flag.code for flag in trial.flags] == ["units_assumed"]
@@ -269,12 +271,12 @@ def test_clocks_without_hours_and_with_milliseconds_behind_a_colon(tmp_path, nam
 
 def test_whole_numbers_behind_a_clock_among_commas_are_no_fraction_of_it(tmp_path: Path) -> None:
     text = table(lambda t, x, f: f"10:00:{t:06.3f},{100 * t:.0f},{x:.4f},{f:.4f}\n").replace(".000,", ",")
-    trial = read(tmp_path / "a.csv", "Time,Count,Displacement (mm),Force (N)\n" + text)
+    trial = read_text(tmp_path / "a.csv", "Time,Count,Displacement (mm),Force (N)\n" + text)
     assert trial.time_s[-1] - trial.time_s[0] == pytest.approx(TIME[-1])
     seconds = "".join(
         f"10:{k // 60:02d}:{k % 60:02d},{k % 7},{k * 0.1:.2f},{k * 0.3:.2f}\n" for k in range(90)
     )
-    whole = read(tmp_path / "b.csv", "Time,Count,Displacement (mm),Force (N)\n" + seconds)
+    whole = read_text(tmp_path / "b.csv", "Time,Count,Displacement (mm),Force (N)\n" + seconds)
     assert whole.time_s[89] - whole.time_s[0] == 89.0
 
 
@@ -283,7 +285,7 @@ def test_whole_numbers_behind_a_clock_among_commas_are_no_fraction_of_it(tmp_pat
 )
 def test_a_time_named_by_its_unit_has_it(tmp_path: Path, name: str, per_s: float) -> None:
     text = table(lambda t, x, f: f"{per_s * t:.2f},{x:.4f},{f:.4f}\n", f"{name},position_mm,force_N\n")
-    trial = read(tmp_path / "a.csv", text)
+    trial = read_text(tmp_path / "a.csv", text)
     assert trial.flags == ()
     assert trial.time_s == pytest.approx(TIME, abs=1e-9)
 
@@ -319,7 +321,7 @@ def test_rows_of_one_tick_are_spread_and_divided_as_if_the_clock_were_fine(tmp_p
     x, force = recording(true)
     shown = rounds(true / tick_s + 1e-9) * tick_s
     lines = (f"{t:.1f},{d:.5f},{f:.5f}\n" for t, d, f in zip(shown, x, force, strict=True))
-    trial = read(tmp_path / "a.csv", "Time (s),Extension (mm),Load (N)\n" + "".join(lines))
+    trial = read_text(tmp_path / "a.csv", "Time (s),Extension (mm),Load (N)\n" + "".join(lines))
     assert codes(trial) == ["zero_dt"]
     assert trial.flags[0].values["tick_s"] == pytest.approx(tick_s)
     assert np.abs(trial.time_s - true).max() <= tick_s + 1.0 / rate_hz
@@ -346,3 +348,125 @@ def test_single_rows_of_one_time_stay_as_they_are() -> None:
     same, tick = between_ticks(time_s)
     assert same is time_s
     assert tick == 0.0
+
+
+ROWS = "".join(f"{0.02 * row:.2f},{0.5 * row:.1f}\n" for row in range(40))
+NAMES = "Displacement (mm),Force (N)\n"
+#: LabVIEW's, whose X column is empty, or not there; each channel states the interval and the unit.
+LABVIEW = (
+    "LabVIEW Measurement\t\nMulti_Headings\t{multi}\nX_Columns\tNo\n***End_of_Header***\t\n\t\n"
+    "Channels\t2\t\t\nSamples\t40\t40\t\nDate\t2021/03/04\t2021/03/04\t\nTime\t10:11:12.1\t10:11:12.1\t\n"
+    "Y_Unit_Label\tum\tmN\t\nX_Dimension\tTime\tTime\t\nX0\t0.0E+0\t0.0E+0\t\n"
+    "Delta_X\t0.010000\t0.010000\t\n***End_of_Header***\t\t\t\n"
+)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "Sampling rate: 100 Hz",
+        "# Sample Rate (Hz): 100",
+        "Sampling frequency,0.1,kHz",
+        "Data Acquisition Rate,100 samples/s",
+        "sample_rate,100",
+        "Fs = 100",
+        "dt,0.01",
+        "Sampling interval,10 ms",
+        "Abtastrate,100 Hz",
+        "Abtastintervall,0.01 s",
+        "Fréquence d'échantillonnage,100 Hz",
+        "Frecuencia de muestreo (Hz),100",
+        "Sampling rate,100 Hz\nSampling interval,0.01 s",
+    ],
+)
+def test_the_rate_of_the_header_is_the_clock(tmp_path: Path, line: str) -> None:
+    trial = read(put(tmp_path / "a.csv", f"{line}\n{NAMES}{ROWS}"))
+    assert trial.time_s == pytest.approx(0.01 * np.arange(40))
+    assert trial.force_N[-1] == 19.5
+    assert "time_counted" in codes(trial)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "Sample height,10 mm",
+        "Sample,100",
+        "Samples,40",
+        "Test rate,100 mm/min",
+        "Sampling time,12 s",
+        "Sampling rate,100 Hz\nSampling interval,0.02 s",
+        "Sampling rate,0 Hz",
+        "Sampling rate,fast",
+    ],
+)
+def test_no_other_line_is_taken_for_a_rate_and_the_way_out_is_named(tmp_path: Path, line: str) -> None:
+    error = refusal(put(tmp_path / "a.csv", f"{line}\n{NAMES}{ROWS}"))
+    assert error.code == "no_columns"
+    assert "--columns time=100Hz" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("head", "asked", "way_out"),
+    [
+        ("", None, "state the rate, as in --columns time=100Hz,displacement=#1,force=#2"),
+        ("", "10Hz", "name them by their numbers, as in --columns time=10Hz,displacement=#1,force=#2"),
+        ("x (mm),Force (N)\n", None, "state the rate, as in --columns time=100Hz"),
+        ("time (s),Force (N)\n", None, "export the displacement as well"),
+        ("max_force_N,Modulus (MPa),width_mm\n", None, "are results, not samples: export the raw data"),
+        ("x (mm),Force (N),Strain (%)\n", None, "or state the rate by time=100Hz"),
+    ],
+)
+def test_a_way_out_can_be_followed(tmp_path: Path, head: str, asked: str | None, way_out: str) -> None:
+    more = ",1.5" * (head.count(",") - 1)
+    path = put(tmp_path / "a.csv", head + "".join(f"{0.01 * k:.3f},{0.5 * k:.3f}{more}\n" for k in range(60)))
+    options = ReadOptions(columns={"time": asked} if asked else {})
+    message = refusal(path, options).message
+    assert message.endswith(way_out)
+    if "--columns" in way_out:
+        columns = dict(part.split("=") for part in way_out.split()[-1].split(","))
+        assert read(path, ReadOptions(columns=columns)).force_N[-1] == pytest.approx(29.5)
+
+
+@pytest.mark.parametrize(("asked", "interval_s"), [("100Hz", 0.01), ("1 kHz", 1e-3), ("10 ms", 0.01)])
+def test_the_user_states_a_rate_for_text_and_workbook(tmp_path: Path, asked: str, interval_s: float) -> None:
+    options = ReadOptions(columns={"time": asked})
+    rows = [[float(cell) for cell in row.split(",")] for row in ROWS.splitlines()]
+    for path in (
+        put(tmp_path / "a.csv", NAMES + ROWS),
+        workbook(tmp_path / "a.xlsx", {"one": [NAMES.strip().split(","), *rows]}),
+    ):
+        (trial,) = read_trials(path, options)
+        assert trial.time_s == pytest.approx(interval_s * np.arange(40))
+        assert trial.displacement_mm[-1] == 0.78
+
+
+def test_a_rate_is_no_column_where_one_has_that_name_or_the_time_is_there(tmp_path: Path) -> None:
+    timed = "".join(f"{0.5 * row},{line}\n" for row, line in enumerate(ROWS.splitlines()))
+    for head in ("100Hz", "Time (s)"):
+        path = put(tmp_path / "a.csv", f"Sampling rate,100 Hz\n{head},{NAMES}{timed}")
+        columns = {} if head == "Time (s)" else {"time": "100Hz"}
+        (trial,) = read_trials(path, ReadOptions(columns=columns))
+        assert trial.time_s[-1] == 19.5
+        assert "time_counted" not in codes(trial)
+
+
+def test_a_column_that_rises_is_asked_about_and_a_count_of_rows_is_none(tmp_path: Path) -> None:
+    head = f"Sampling rate,100 Hz\nKanal,{NAMES}"
+    for step, read_ in ((0.02, False), (1, True)):
+        rows = "".join(f"{step * row:g},{line}\n" for row, line in enumerate(ROWS.splitlines()))
+        path = put(tmp_path / "a.csv", head + rows)
+        if read_:
+            assert "time_counted" in codes(read(path))
+        else:
+            assert "'Kanal'" in str(refusal(path))
+
+
+@pytest.mark.parametrize("multi", ["Yes", "No"])
+def test_labview_without_x_columns_is_counted_by_its_own_interval(tmp_path: Path, multi: str) -> None:
+    names, first = ("X_Value\t", "\t") if multi == "Yes" else ("", "")
+    rows = "".join(first + line.replace(",", "\t") + "\n" for line in ROWS.splitlines())
+    text = LABVIEW.format(multi=multi) + f"{names}Displacement\tForce\tComment\n{rows}"
+    (trial,) = read_trials(put(tmp_path / "a.lvm", text))
+    assert trial.time_s == pytest.approx(0.01 * np.arange(40))
+    assert trial.displacement_mm[-1] == pytest.approx(0.78e-3)
+    assert trial.force_N[-1] == pytest.approx(19.5e-3)
