@@ -1,10 +1,11 @@
-"""The page of ``inspect --html``: what is drawn is what was recorded, and every entry is a decision."""
+"""The page of ``inspect --html``: what was recorded; entries are decisions, written where it is served."""
 
 from __future__ import annotations
 
 import base64
 import json
 import re
+import threading
 import tomllib
 from dataclasses import replace
 from functools import cache, partial
@@ -13,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import until
+from corrected_lab import corrected
 from msgspec import structs
 from report_pages import drawn, payload_of, self_contained, wide
 from typed_call import typed_call
@@ -20,14 +23,16 @@ from typed_call import typed_call
 from tissueid.cli.main import main
 from tissueid.documents import plain
 from tissueid.flags import Flag
+from tissueid.ingest.manifest import read_study
 from tissueid.inspection import describe_segmented
 from tissueid.report import inspected_recording, render_inspection
-from tissueid.report.inspect_decisions import UNIT_TO_WRITE, Decision, decisions, toml_string, toml_value
+from tissueid.report.inspect_decisions import UNIT_TO_WRITE, Decision, decisions, toml_value
 from tissueid.report.inspect_page import MOST_DRAWN, InspectedRecording, drawn_recording
 from tissueid.result import Refusal
 from tissueid.segment import segment
 from tissueid.store.schema import first_problem
 from tissueid.trial import Segmentation, Source, Trial
+from tissueid.viewer.page_server import PageServer
 
 inspected_recording = typed_call(inspected_recording)
 decisions = typed_call(decisions)
@@ -207,11 +212,6 @@ def inspect(capsys: pytest.CaptureFixture[str], folder: Path) -> dict[str, Any]:
     return dict(found)
 
 
-@pytest.mark.parametrize("text", ["plain", 'a "b"', "back\\slash", "tab\tnew\nline", "ä 力 \x01 \x7f", "'"])
-def test_any_name_survives_in_toml(text):
-    assert tomllib.loads(f"name = {toml_string(text)}")["name"] == text
-
-
 def test_a_choice_of_columns_offers_the_other_one_and_a_rupture_can_be_denied():
     values = {"quantity": "displacement", "taken": "Ext", "alternatives": ["Strain 1"]}
     chosen, rupture = Flag("column_choice", "", values), {"kind": "rupture", "time_s": 2.0, "values": {}}
@@ -351,3 +351,76 @@ def test_page_fits_the_screen_in_both_colour_schemes(opened, width, scheme):
     tab.click("a[href='#recording-3']")
     traces(tab, "depth", "recording-3")
     assert wide(tab) == width
+
+
+@pytest.fixture
+def page(tmp_path):
+    """One recording, served."""
+    with PageServer(corrected(tmp_path, "run <b>1.csv"), None) as server:
+        thread = threading.Thread(target=server.run)
+        thread.start()
+        until(lambda: server.server.started, seconds=20.0)
+        yield server
+        server.server.should_exit = True
+        thread.join()
+
+
+def click(tab: Any, figure: str, **point: float) -> None:
+    box = f"[data-figure={figure}]"
+    tab.locator(box).scroll_into_view_if_needed()
+    tab.wait_for_function("box => document.querySelector(box).data", arg=box)
+    tab.evaluate(
+        "([box, point]) => document.querySelector(box).emit('plotly_click', {points: [point]})", [box, point]
+    )
+
+
+def write(tab: Any, key: str, because: str) -> None:
+    form = tab.locator(f"form.correct[data-key={key}]")
+    form.locator("[name=because]").fill(because)
+    form.get_by_role("button", name="Write").click()
+    # of the page that was loaded again
+    said = tab.locator(f"form.correct.stands[data-key={key}] output")
+    said.filter(has_text="is written into study.toml").wait_for()
+
+
+@pytest.mark.browser
+def test_a_click_a_reason_and_a_button_correct_a_recording(browser, page, tmp_path):
+    tab = browser.new_context(viewport={"width": 1400, "height": 900}).new_page()
+    errors: list[str] = []
+    tab.on("console", lambda said: errors.append(said.text) if said.type in {"error", "warning"} else None)
+    tab.on("pageerror", lambda error: errors.append(str(error)))
+    tab.goto(page.url)
+    # a click on the curve is the contact, at the displacement of that sample, in either picture
+    click(tab, "depth", x=1.2, y=0.8)
+    field = tab.locator("form.correct[data-key=contact_mm] [name=value]")
+    assert float(field.input_value()) == pytest.approx(1.2)
+    click(tab, "time", x=1.4, y=1.6)
+    assert float(field.input_value()) == pytest.approx(1.4)
+    write(tab, "contact_mm", "the film shows it")
+    # a field that was entered takes the time of the click
+    tab.locator("form.correct[data-key=hold_from_s] [name=value]").focus()
+    click(tab, "time", x=4.5, y=9.0)
+    write(tab, "hold_from_s", "the crosshead rang")
+    said = read_study(tmp_path).overrides
+    assert [dict(entry.values) for entry in said] == [
+        {"file": "run <b>1.csv", "contact_mm": pytest.approx(1.4), "because": "the film shows it"},
+        {"file": "run <b>1.csv", "hold_from_s": pytest.approx(4.5), "because": "the crosshead rang"},
+    ]
+    phases = tab.locator("tr", has_text="hold").locator("td").first
+    assert float(phases.inner_text()) == pytest.approx(4.5)
+    # a reason is asked for by the page itself, and a number out of the record is answered with its limits
+    form = tab.locator("form.correct[data-key=end_s]")
+    form.locator("[name=value]").fill("400")
+    form.get_by_role("button", name="Write").click()
+    assert form.locator("[name=because]").evaluate("field => field.matches(':invalid')")
+    form.locator("[name=because]").fill("later")
+    assert errors == []
+    form.get_by_role("button", name="Write").click()
+    tab.wait_for_function(
+        "document.querySelector('form[data-key=end_s] output').textContent.includes('13.98')"
+    )
+    tab.locator("form.correct[data-key=contact_mm]").get_by_role("button", name="Take back").click()
+    said = tab.locator("form.correct:not(.stands)[data-key=contact_mm] output")
+    said.filter(has_text="is taken back").wait_for()
+    assert [entry.values["because"] for entry in read_study(tmp_path).overrides] == ["the crosshead rang"]
+    assert tab.locator("form.correct.stands").count() == 1
