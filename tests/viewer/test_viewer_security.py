@@ -1,13 +1,17 @@
-"""Who is let in, what may be said, and that nothing said reaches a device."""
+"""Who is let in, what may be said, and that nothing said reaches a device; a page that is talked back to."""
 
 from __future__ import annotations
 
+import json
 import socket
 import ssl
 import subprocess
+import threading
 import time
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +22,7 @@ from websockets.sync.client import ClientConnection
 
 from tissueid.errors import UsageError
 from tissueid.viewer import protocols
+from tissueid.viewer.page_server import LARGEST_DECISION, PageServer
 from tissueid.viewer.protocols import LARGEST_MESSAGE, Play, parse_message
 from tissueid.viewer.security import MOST_TOLD, Access, RefusalLog, new_token
 from tissueid.viewer.server import HEADERS, MOST_CLIENTS, MOST_CONNECTIONS, MOST_MESSAGES, HandPointer
@@ -331,3 +336,108 @@ def test_a_flood_of_pings_ends_its_own_client_alone():
         assert code_of(one) == 1008
         live.write(5)
         assert frame_of(watcher).samples["tick"].size
+
+
+class Asked:
+    """A page that remembers what it was asked."""
+
+    def __init__(self) -> None:
+        self.words: list[Mapping[str, Any]] = []
+        self.broken = False
+
+    def page(self) -> str:
+        if self.broken:
+            raise UsageError("study.toml, line 3: no")
+        return "<p>the page</p>"
+
+    def decide(self, words: Mapping[str, Any]) -> str:
+        if not words:
+            raise UsageError("nothing was decided")
+        self.words.append(words)
+        return "done"
+
+
+SHOWN = Asked()
+
+
+@contextmanager
+def running(asked: Asked) -> Iterator[PageServer]:
+    with PageServer(asked, None) as server:
+        thread = threading.Thread(target=server.run)
+        thread.start()
+        try:
+            until(lambda: server.server.started)
+            yield server
+        finally:
+            server.server.should_exit = True
+            thread.join()
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[PageServer]:
+    with running(SHOWN) as server:
+        yield server
+
+
+def origin(server: PageServer) -> str:
+    return f"http://127.0.0.1:{server.access.port}"
+
+
+def test_the_address_that_is_printed_shows_the_page(page):
+    assert page.url.startswith("http://127.0.0.1:")
+    status, headers, body = fetched(page.url)
+    assert (status, body) == (200, b"<p>the page</p>")
+    assert "connect-src 'self'" in headers["content-security-policy"]
+    assert headers["referrer-policy"] == "no-referrer"
+
+
+@pytest.mark.parametrize(
+    ("path", "headers", "why"),
+    [
+        ("/", {}, "no token"),
+        ("/?token=x", {}, "wrong token"),
+        ("/decide", {}, "no token"),
+        ("/decide?token=x", {}, "wrong token"),
+        ("/decide?token={token}", {"Origin": "http://evil.example"}, "foreign Origin"),
+        ("/?token={token}", {"Host": "evil.example"}, "foreign Host"),
+    ],
+)
+def test_strangers_are_refused_before_anything_is_done(page, path, headers, why):
+    before = len(SHOWN.words)
+    body = b'{"key": "exclude"}' if "decide" in path else None
+    status, _, said = fetched(origin(page) + path.format(token=page.access.token), body, **headers)
+    assert status == 403
+    assert why.encode() in said
+    assert len(SHOWN.words) == before
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "said"),
+    [
+        (b'{"key": "exclude", "value": true}', 200, "done"),
+        (b"{}", 422, "nothing was decided"),
+        (b"[1", 422, "this is no decision"),
+        (b"[1]", 422, "this is no decision"),
+        (b"\xff", 422, "this is no decision"),
+        (b" " * (LARGEST_DECISION + 1), 413, "too long: shorten the reason"),
+    ],
+)
+def test_a_decision_is_answered_in_one_sentence(page, body, status, said):
+    path = f"{origin(page)}/decide?token={page.access.token}"
+    found, _, answer = fetched(path, body, Origin=origin(page))
+    assert (found, json.loads(answer)) == (status, {"said": said})
+
+
+def test_a_page_that_cant_be_made_says_why(page):
+    SHOWN.broken = True
+    status, _, body = fetched(page.url)
+    SHOWN.broken = False
+    assert status == 422
+    assert b"line 3" in body
+
+
+def test_a_second_one_takes_a_free_port_and_a_wanted_one_that_is_taken_is_refused(page):
+    with PageServer(Asked()) as other:
+        assert other.access.port != page.access.port
+    with pytest.raises(UsageError, match="--viewer-port"):
+        PageServer(Asked(), page.access.port)
