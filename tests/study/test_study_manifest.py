@@ -1,15 +1,41 @@
-"""study.toml: what it means, and how it is refused."""
+"""study.toml, its priors and its rendering: what they mean, and how they are refused."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
-from command_line import STUDY_HEAD, write_study
+from cohort_outputs import study_of
+from command_line import STUDY_HEAD, run, write_study
+from fit_factory import THETA, specimen_fit
+from posterior_factory import sampled
+from study_folder import fit, lab, specimen
+from typed_call import typed_call
 
+from tissueid import FitOptions, IdentifyOptions, identify
+from tissueid.documents import plain
+from tissueid.documents.base import typed
+from tissueid.documents.study import Priors as Recorded
 from tissueid.errors import InputError, UsageError
+from tissueid.haptics.limits import GuardLimits
 from tissueid.ingest.manifest import line_of, lines_of_toml, read_study, unmatched_files
-from tissueid.trial import Protocol
+from tissueid.ingest.stated import unit_of
+from tissueid.manifest import Study
+from tissueid.model import grammar
+from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.model.laws.static import Power
+from tissueid.priors import PopulationPriors, Priors, SpreadPrior
+from tissueid.rendering.precheck import Demands, check_before_force
+from tissueid.rendering.tissue_block import Tissue
+from tissueid.report.rendering_words import NORMALISED
+from tissueid.result import SpecimenFit
+from tissueid.store.posteriors import posteriors_of_fits
+from tissueid.store.schema import first_problem
+from tissueid.study.completeness import ITEMS, completeness_of_result
+from tissueid.study.pages import rendering_of
+from tissueid.trial import Axes, Protocol
 
 
 def refused(folder: Path, text: str) -> InputError:
@@ -224,3 +250,193 @@ def test_a_protocol_fills_in_what_files_do_not_state_and_a_frame_has_an_sd(tmp_p
     frame = study.calibration.frame
     # sd(1/k) = sd(k) / k^2
     assert frame.covariance[0, 0] == pytest.approx((100.0 / 1000.0**2) ** 2)
+
+
+def study_in(folder: Path, text: str) -> Study:
+    return read_study(write_study(folder, text))
+
+
+def priors_in(folder: Path, text: str) -> Priors:
+    return study_in(folder, text).priors
+
+
+WHOLE = """
+[priors]
+static_1_N_per_mm = {mean = 20.0, sd = 5.0}
+stiffness_0_N_per_mm_b2 = {mean = 3, sd = 2}
+relaxation_time_s = [{median = 0.02, sd_ln = 0.5}, {median = 4, sd_ln = 0.7}]
+sigma_N = {median = 0.5, sd_ln = 0.3}
+phi = {low = 0.2, high = 0.95}
+gain_sd = {scale = 0.05}
+"""
+
+
+def test_every_prior_that_is_stated_is_kept_and_recorded_as_a_valid_table(tmp_path):
+    found = priors_in(tmp_path, WHOLE)
+    assert dict(found.linear) == {"static_1_N_per_mm": (20.0, 5.0), "stiffness_0_N_per_mm_b2": (3, 2)}
+    assert found.relaxation_time_s == (SpreadPrior(0.02, 0.5), SpreadPrior(4, 0.7))
+    assert found.sigma_N == SpreadPrior(0.5, 0.3)
+    assert found.phi == (0.2, 0.95)
+    assert found.gain_sd == 0.05
+    for nothing in ("", "[priors]\n"):
+        assert priors_in(tmp_path, nothing) == Priors()
+    found = priors_in(tmp_path, WHOLE)
+    document = {"schema": "tissueid/study/1", "priors": found.as_json()}
+    assert first_problem(document, "study") is None
+    assert document["priors"]["relaxation_time_s"][1] == {"median": 4, "sd_ln": 0.7}
+    assert document["priors"]["static_1_N_per_mm"] == {"mean": 20.0, "sd": 5.0}
+    # a default that is in use is recorded as well
+    assert Priors().as_json() == {"phi": {"low": 0.0, "high": 1.0}, "gain_sd": {"scale": 0.3}}
+
+
+def test_numbers_may_carry_another_unit(tmp_path):
+    stated = {
+        "static_1_N_per_mm": ("'0.02 kN/mm'", "'5 N/mm'", (20, 5)),
+        "static_2_N_per_mm2": ("'2 N/mm^2'", "'1 N/mm2'", (2, 1)),
+        "static_3_N_per_mm3": ("'1 kN/cm3'", "'1 N/cm^3'", (1, 1e-3)),
+        "stiffness_1_N_per_mm2_b3": ("'1e6 N/m2'", "1", (1, 1)),
+    }
+    text = "".join(f"[priors.{name}]\nmean = {mean}\nsd = {sd}\n" for name, (mean, sd, _) in stated.items())
+    times = "[[priors.relaxation_time_s]]\nmedian = '20 ms'\nsd_ln = 0.5\n"
+    noise = "[priors.sigma_N]\nmedian = '500 mN'\nsd_ln = 1\n"
+    found = priors_in(tmp_path, text + times + noise)
+    # a conversion through base units is good to a few units in the last place
+    for name, (_, _, expected) in stated.items():
+        assert found.linear[name] == pytest.approx(expected, rel=1e-12)
+    assert found.relaxation_time_s[0].median == pytest.approx(0.02, rel=1e-12)
+    assert found.sigma_N.median == pytest.approx(0.5, rel=1e-12)
+
+
+def test_priors_of_the_population_are_read_and_the_rest_keeps_its_default(tmp_path):
+    found = study_in(
+        tmp_path,
+        "[population]\nmean_sd = 8\n[population.between]\nmedian = 0.15\nsd_ln = 0.3\n"
+        "[population.tails]\nshape = 3\nrate = 0.2\n",
+    )
+    stated = PopulationPriors(mean_sd=8, between=SpreadPrior(0.15, 0.3), tail_shape=3, tail_rate=0.2)
+    assert found.population == stated
+    assert study_in(tmp_path, "").population is None
+    with pytest.raises(InputError, match="sd_ln is missing") as refused:
+        study_in(tmp_path, "[population]\n[population.between]\nmedian = 0.15\n")
+    assert refused.value.line == 3
+
+
+STATED = (
+    "[priors]\nstatic_1_N_per_mm = {mean = 30.0, sd = 0.5}\n"
+    "relaxation_time_s = [{median = '21 ms', sd_ln = 0.02}]\n[calibration]\nload_cell_class = 0.5\n"
+)
+
+
+def test_a_stated_prior_enters_the_posterior_and_is_shown_with_its_shrinkage(tmp_path):
+    folder = lab(tmp_path / "lab", STATED, a=1.0)
+    sample = ("--sampler", "emcee", "--draws", "400")
+    _, document = fit(folder, *sample, out=tmp_path / "out")
+    assert document["study"]["priors"]["static_1_N_per_mm"] == {"mean": 30.0, "sd": 0.5}
+    assert document["provenance"]["study"]["priors"] == document["study"]["priors"]
+    (found,) = document["specimens"]
+    rows = {row["name"]: row for row in found["priors"]}
+    assert rows["static_1_N_per_mm"]["stated"] is True
+    assert "30" in rows["static_1_N_per_mm"]["prior"]
+    assert rows["force_gain"]["stated"] is True
+    assert rows["displacement_gain"]["stated"] is False
+    # a relaxation time that is known to 2 % before can't be known worse after: sd of 400 draws, 3.5 % each
+    time = next(one for one in specimen(document, "a")["parameters"] if one["name"] == "relaxation_time_s")
+    sampled = time["detail"].get("posterior") or time
+    assert sampled["sd"] <= 1.15 * 0.02 * 0.021
+    run("validate", tmp_path / "out", code=0)
+
+
+def test_parameters_of_any_law_have_priors_and_are_recorded(tmp_path):
+    found = priors_in(
+        tmp_path,
+        "[priors.static_N_per_mm]\nmean = '2 N/mm'\nsd = 1\n"
+        "[priors.static_exponent]\nmedian = 1.5\nsd_ln = 0.1\n"
+        "[priors.relaxation_ratio_b2]\nmedian = 0.5\nsd_ln = 1\n",
+    )
+    linear = {"static_N_per_mm": (2.0, 1.0)}
+    shapes = {"static_exponent": SpreadPrior(1.5, 0.1), "relaxation_ratio_b2": SpreadPrior(0.5, 1)}
+    assert (dict(found.linear), dict(found.shapes)) == (linear, shapes)
+    recorded = found.as_json()
+    assert typed(recorded, Recorded) is not None
+    assert {*linear, *shapes} <= set(recorded)
+
+
+def test_a_prior_that_the_fitted_law_has_no_parameter_for_is_refused(tmp_path):
+    study = study_in(tmp_path, "[priors.static_exponent]\nmedian = 1.5\nsd_ln = 0.1\n")
+    with pytest.raises(UsageError, match=r"static_exponent\] is of no parameter of kelvin-voigt"):
+        identify([], study=study)
+    options = IdentifyOptions(fit=FitOptions(model="power * prony:2"))
+    assert identify([], study=study, options=options).exit.code == 3
+
+
+def test_a_law_that_is_registered_later_has_its_priors(tmp_path, monkeypatch):
+    text = "[priors.static_own]\nmedian = 1.5\nsd_ln = 0.1\n"
+    with pytest.raises(InputError, match="no prior of 'static_own'"):
+        priors_in(tmp_path, text)
+    spec = replace(Power.shapes[0].spec, name="static_own")
+    own = type("Own", (Power,), {
+        "about": replace(Power.about, key="own"),
+        "shapes": (replace(Power.shapes[0], spec=spec),),
+    })  # fmt: skip
+    monkeypatch.setitem(grammar._OWN, "own", own)
+    assert priors_in(tmp_path, text).shapes["static_own"] == SpreadPrior(1.5, 0.1)
+
+
+completeness_of_result = typed_call(completeness_of_result)
+rendering_of = typed_call(rendering_of)
+
+
+def rendering(fit: SpecimenFit) -> Any:
+    posteriors = posteriors_of_fits([fit])
+    return rendering_of(plain(fit.as_json()), posteriors[0] if posteriors else None)
+
+
+def test_scales_and_damping_are_those_of_the_check_before_force():
+    found = rendering(sampled(specimen_fit()))
+    model = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=6.0)
+    tissue = Tissue(model=model, theta=THETA, speeds_mm_s=(0.5, 4.0), tip_radius_mm=3.0)
+    clamp = GuardLimits.simulated().clamp_N
+    check = check_before_force(tissue, Demands(clamp, 0.5, 1.5, travel_m=0.064))
+    _, simulated = found.devices
+    assert simulated.scale.force_scale == pytest.approx(check.scaling.force)
+    assert simulated.scale.required_damping_N_s_per_m == pytest.approx(check.required_damping_N_s_per_m)
+    # 6 mm at five-fold motion are 30 of the 40 mm that a session on it has
+    assert simulated.outside_share == pytest.approx(1 - 30 / 40)
+    assert simulated.fastest_hand_mm_s == pytest.approx(20.0)
+    assert (found.passive, found.unique) == (True, True)
+    assert found.draws == found.draws_passive == 500
+
+
+def test_what_can_not_be_rendered_is_said_with_its_reason(monkeypatch):
+    fit = specimen_fit()
+    sinking = tuple(
+        replace(one, detail={"estimate": -3.0}) if one.name == "stiffness_0_N_per_mm" else one
+        for one in fit.parameters
+    )
+    assert rendering(replace(fit, parameters=sinking)).passive is False
+    assert rendering(replace(fit, axes=Axes("1", "MPa"))) == NORMALISED
+    weak = {"a weak device": Demands(2.0, 1e-9, 1.5)}
+    monkeypatch.setattr("tissueid.study.pages._devices", lambda: weak)
+    (row,) = rendering(specimen_fit()).devices
+    assert "can't be felt on this device" in row.why
+
+
+def test_without_a_study_nothing_is_stated_and_a_result_is_graded_by_what_it_carries():
+    nothing = completeness_of_result(None)
+    assert (nothing.grade, nothing.share, len(nothing.missing)) == ("F", 0.0, len(ITEMS))
+    tables: dict[str, dict[str, Any]] = {item.table: {} for item in ITEMS}
+    frame: dict[str, Any] = dict.fromkeys(("path", "sha256", "range_N"))
+    frame |= dict.fromkeys(("force_N", "compliance_mm_per_N", "covariance"), ())
+    words = {"authors": ["stated"], "shape": "sphere", "freeze_thaw_cycles": 1, "run": 1, "frame": frame}
+    for item in ITEMS:
+        key = item.keys[0]
+        tables[item.table][key] = words.get(key, 1.0 if unit_of(key) or "class" in key else "stated")
+    result = study_of(tuple(specimen_fit(name, trials=1) for name in "ab"))
+    for name in ("study", "calibration", "tip"):
+        result[name] |= tables[name]
+    for name in ("specimen", "trial"):
+        result[f"{name}s"] = [row | tables[name] for row in result[f"{name}s"]]
+    assert completeness_of_result(result).grade == "A"
+    result["specimens"][1]["storage"] = None
+    (missing,) = completeness_of_result(result).missing
+    assert (missing.keys, missing.where) == (("storage",), ("b",))
