@@ -21,7 +21,6 @@ from command_line import REPOSITORY, read_json, run
 from fit_factory import STATIC, THETA_NAMES, identification, specimen_fit, write_results
 from posterior_factory import posterior, sampled
 from rendered_tissues import PAPER_A, bundle_of
-from scipy.io import loadmat
 from typed_call import typed_call
 
 from tissueid.documents import plain
@@ -354,9 +353,14 @@ def test_what_stands_in_the_way_of_draws_for_arviz_is_said(tmp_path, monkeypatch
 def test_arviz_reads_the_draws_of_each_specimen(arviz, tmp_path):
     fits = [sampled(specimen_fit(name, samples=60)) for name in ("kidney 3", "liver/left")]
     out = written(tmp_path / "out", *fits)
+    run(
+        "export", written(tmp_path / "one", fits[0]), "--format", "netcdf", "-o", tmp_path / "mine.nc", code=0
+    )
+    summary = arviz.summary(arviz.from_netcdf(str(tmp_path / "mine.nc"))["unconstrained_posterior"])
+    assert summary.loc["ln_tau_1", "r_hat"] < 1.01
     run("export", out, "--format", "netcdf", "-o", tmp_path / "chains.nc", code=0)
     names = ["chains-kidney_3.nc", "chains-liver_left.nc"]
-    assert sorted(path.name for path in tmp_path.glob("*.nc")) == names
+    assert sorted(path.name for path in tmp_path.glob("*.nc")) == [*names, "mine.nc"]
     for fit, name in zip(fits, names, strict=True):
         found = arviz.from_netcdf(str(tmp_path / name))
         assert found["posterior"].attrs["specimen"] == fit.specimen
@@ -366,14 +370,6 @@ def test_arviz_reads_the_draws_of_each_specimen(arviz, tmp_path):
         assert np.array_equal(np.asarray(found["posterior"][first]).ravel(), stored.draws[:, 0])
         walkers = np.asarray(found["unconstrained_posterior"][stored.chain_names[1]])
         assert np.array_equal(walkers, stored.chain[:, :, 1])
-
-
-@pytest.mark.filterwarnings("ignore::FutureWarning")
-def test_one_specimen_has_the_file_that_was_named(arviz, tmp_path):
-    out = written(tmp_path / "out", sampled(specimen_fit("kidney 3", samples=60)))
-    run("export", out, "--format", "netcdf", "-o", tmp_path / "mine.nc", code=0)
-    summary = arviz.summary(arviz.from_netcdf(str(tmp_path / "mine.nc"))["unconstrained_posterior"])
-    assert summary.loc["ln_tau_1", "r_hat"] < 1.01
 
 
 @pytest.fixture
@@ -397,12 +393,6 @@ def bundle(tmp_path):
 def test_a_bundle_is_written_for_another_program_or_refused(bundle, args, code, said):
     ended = run("export", bundle, "--format", *args, code=code)
     assert said in (ended.stderr if code else ended.stdout)
-
-
-def test_a_matlab_file_is_written_where_it_is_asked_for(bundle, tmp_path):
-    target = tmp_path / "tissues.mat"
-    run("export", bundle, "--format", "mat", "-o", target, code=0)
-    assert str(loadmat(str(target), squeeze_me=True)["tissueid"]["specimen"]) == "paper-a"
 
 
 def test_of_several_specimens_one_is_chosen(tmp_path):

@@ -32,7 +32,7 @@ from command_line import (
 )
 from identify_stand_ins import of_prior
 from rendered_tissues import write_bundles
-from test_cli_calibrate import RECIPE
+from test_cli_design import RECIPE
 
 SAID = "tissueid: interrupted; what was finished is kept\n"
 #: Command, and at which report of its progress the signal comes.

@@ -1,4 +1,4 @@
-"""Real recordings that nobody here made: the whole way from the file to numbers."""
+"""Real recordings that nobody here made, and ``tissueid reproduce``: from the file to numbers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import csv
 
 import numpy as np
 import pytest
-from command_line import QUICK, run
+from command_line import QUICK, read_json, run
+
+from tissueid.store.schema import check
 
 SHEETS = 29
 MEDIAN_NRMSD = 0.01
@@ -101,3 +103,23 @@ def test_no_real_file_ends_in_a_bug(shared_data, tmp_path):
     # every file is either fitted or named with its reason
     assert refused | read == {str(path) for path in small}
     run("validate", tmp_path, code=0)
+
+
+@pytest.mark.needs_jit
+def test_both_papers_are_recomputed_and_written(tmp_path):
+    run("reproduce", "all", "-o", tmp_path / "out", "-q", "--set", "stiffness=linear", code=0)
+    document = read_json(tmp_path / "out" / "reproduction.json")
+    check(document, "reproduction", where="reproduction.json")
+    rows = {one["item"]: one for one in document["items"]}
+    assert (rows["table-3/1"]["kind"], rows["table-3/1"]["recomputed"]) == ("given", None)
+    for name in ("table-2/stiffness", "table-2/tau"):
+        assert rows[name]["agrees"], rows[name]
+
+
+def test_a_paper_is_recomputed_and_written(tmp_path):
+    asked = ("--json", "--set", "surface=cone")
+    document = run("reproduce", "pires", "-o", tmp_path / "out", *asked, code=0).json("reproduction")
+    assert document == read_json(tmp_path / "out" / "reproduction.json")
+    assert document["readings"]["surface"]["choice"] == "cone"
+    assert [paper["name"] for paper in document["papers"]] == ["pires"]
+    assert "recomputed" in (tmp_path / "out" / "reproduction.html").read_text(encoding="utf-8")
