@@ -17,13 +17,9 @@ from tissueid.store import files
 from tissueid.store.outputs import OutputSet
 
 UNITS = {
-    "static_1_N_per_mm": "N/mm",
-    "static_2_N_per_mm2": "N/mm^2",
-    "static_3_N_per_mm3": "N/mm^3",
-    "stiffness_0_N_per_mm": "N/mm",
-    "relaxation_time_s": "s",
-    "viscosity_N_s_per_mm": "N s/mm",
-}
+    "static_1_N_per_mm": "N/mm", "static_2_N_per_mm2": "N/mm^2", "static_3_N_per_mm3": "N/mm^3",
+    "stiffness_0_N_per_mm": "N/mm", "relaxation_time_s": "s", "viscosity_N_s_per_mm": "N s/mm",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -219,26 +215,16 @@ def test_wrong_usage_is_2(args, said, tmp_path, monkeypatch):
 
 #: Options of reading, and of a fit, that can't be understood.
 READING = [
-    ("--columns zeit=t", "--columns"),
-    ("--columns time", "--columns"),
-    ("--units force=blorb", "blorb"),
-    ("--specimen-by (", "not a regular expression"),
-    ("--recipe nope", tuple(RECIPES)),
-    ("--contact nan", "--contact"),
-    ("--contact deep", "--contact"),
-    ("--compression up", "--compression"),
-]
+    ("--columns zeit=t", "--columns"), ("--columns time", "--columns"), ("--units force=blorb", "blorb"),
+    ("--specimen-by (", "not a regular expression"), ("--recipe nope", tuple(RECIPES)),
+    ("--contact nan", "--contact"), ("--contact deep", "--contact"), ("--compression up", "--compression"),
+]  # fmt: skip
 FITTING = [
-    ("--frequencies 0.1;1", "--frequencies"),
-    ("--frequencies 0,1", "--frequencies"),
-    ("--depths deep", "--depths"),
-    ("--tip sphere", "sphere:3"),
-    ("--tip pyramid:3", "not offered"),
-    ("--tip cone:95", "half angle"),
-    ("--thickness 5", "--tip"),
-    ("--tip flat:2 --thickness -5", "thickness"),
+    ("--frequencies 0.1;1", "--frequencies"), ("--frequencies 0,1", "--frequencies"),
+    ("--depths deep", "--depths"), ("--tip sphere", "sphere:3"), ("--tip pyramid:3", "not offered"),
+    ("--tip cone:95", "half angle"), ("--thickness 5", "--tip"), ("--tip flat:2 --thickness -5", "thickness"),
     ("--tip flat:2 --poisson 0.6", "0.6"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -483,12 +483,9 @@ def row(name: str, mean: float | None, **more: Any) -> dict[str, Any]:
 
 
 ROWS = (
-    row("peak", 10.0),
-    row("force", 8.0, time_s=1.0),
-    row("force", 6.0, time_s=10.0),
-    row("peak", 4.0, program=2, hold=0),
-    row("peak", 2.0, program=3, hold=0),
-)
+    row("peak", 10.0), row("force", 8.0, time_s=1.0), row("force", 6.0, time_s=10.0),
+    row("peak", 4.0, program=2, hold=0), row("peak", 2.0, program=3, hold=0),
+)  # fmt: skip
 
 
 def test_a_specimen_among_many_has_one_line_of_its_first_program():

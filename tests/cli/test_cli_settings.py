@@ -288,12 +288,3 @@ def test_bash_completes_with_the_printed_script(tmp_path):
     )
     assert done.stdout.split() == ["emcee", "none"]
     assert done.stderr == ""
-
-
-@pytest.mark.parametrize("shell", ["zsh", "fish"])
-def test_other_shells_accept_the_script(tmp_path, shell):
-    if shutil.which(shell) is None:
-        pytest.skip(f"no {shell} here")
-    path = tmp_path / "script"
-    path.write_text(run("completion", shell).stdout, encoding="utf-8")
-    assert subprocess.run([shell, "-n", str(path)], check=False).returncode == 0

@@ -146,18 +146,11 @@ def header(seed: Seed, rng: Random) -> Mutant:
     lines, d = list(seed.lines), seed.intent.delimiter
     new = rng.choice(
         (
-            f"Test : Rate 1{d}10.00{d}mm/min",
-            f"Results : Maximum load{d}12.5{d}N",
-            f"General : Start Date{d}13/11/2018 5:14 PM",
-            f"Time{d}12:30",
-            f"A{d}B{d}C",
-            f"v1{d}3",
-            "Specimen label",
-            "Load cell 2 kN",
-            '"torn',
-            "",
+            f"Test : Rate 1{d}10.00{d}mm/min", f"Results : Maximum load{d}12.5{d}N",
+            f"General : Start Date{d}13/11/2018 5:14 PM", f"Time{d}12:30", f"A{d}B{d}C", f"v1{d}3",
+            "Specimen label", "Load cell 2 kN", '"torn', "",
         )
-    )
+    )  # fmt: skip
     if seed.names and rng.random() < 0.4:
         del lines[rng.randrange(seed.names)]
     else:

@@ -210,13 +210,10 @@ def test_a_zip_archive_of_several_exports_gives_their_trials_and_refusals(tmp_pa
     items = list(read_each(path))
     sheets = [item.sheet if isinstance(item, InputError) else item.source.sheet for item in items]
     assert sheets == [
-        "folder/semicolon.csv",
-        "folder/mach-1.txt::2: Stress Relaxation",
-        "folder/shimadzu.csv::synthetic hold-1",
-        "folder/testxpert-workbook.xlsx::synthetic hold-1",
-        "folder/utf-16.csv",
-        "folder/damaged.csv",
-    ]
+        "folder/semicolon.csv", "folder/mach-1.txt::2: Stress Relaxation",
+        "folder/shimadzu.csv::synthetic hold-1", "folder/testxpert-workbook.xlsx::synthetic hold-1",
+        "folder/utf-16.csv", "folder/damaged.csv",
+    ]  # fmt: skip
     for item, name in zip(items, names, strict=False):
         assert_equal(item, name, log)
         assert item.source.recipe == READ_BY[name]

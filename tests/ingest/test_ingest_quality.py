@@ -413,14 +413,11 @@ def test_a_noiseless_encoder_with_a_real_stop_is_not_suspected(stop_s, kernel, r
 @pytest.mark.parametrize(
     ("key", "value", "capacity_N"),
     [
-        ("System : Load cell capacity", "2 kN", 2000.0),
-        ("Load Cell", "500 N", 500.0),
-        ("Kraftaufnehmer Nennkraft", "2,5 kN", 2500.0),
-        ("Capteur de force", "100 N", 100.0),
-        ("Load cell", "S/N 1234", None),
-        ("Test : Rate 1", "10 mm/min", None),
+        ("System : Load cell capacity", "2 kN", 2000.0), ("Load Cell", "500 N", 500.0),
+        ("Kraftaufnehmer Nennkraft", "2,5 kN", 2500.0), ("Capteur de force", "100 N", 100.0),
+        ("Load cell", "S/N 1234", None), ("Test : Rate 1", "10 mm/min", None),
     ],
-)
+)  # fmt: skip
 def test_the_capacity_of_the_cell_is_read_from_the_header(key, value, capacity_N) -> None:
     assert capacity_in({key: value}, decimal="," if "," in value else ".") == capacity_N
 

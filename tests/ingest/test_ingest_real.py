@@ -109,14 +109,10 @@ def test_afm_columns_carry_their_units(shared_data):
 
 #: Recordings that are compared here sample by sample, and those that nobody has read by another program yet.
 COMPARED = (
-    "instron-bluehill-cyclic-cc0/Specimen_RawData_6.csv",
-    "bluehill-universal-sample-mit/sample_bluehill.csv",
-    "zwick-tra-mit/*.TRA",
-    "zwick-meat-gpl3/230403*.xlsx",
-    "muscle-ramp-hold-mit/*.csv",
-    "oocyte-afm-mit/cell1-0008_full.csv",
-    "optics11-chiaro-mit/chiaro.zip",
-)
+    "instron-bluehill-cyclic-cc0/Specimen_RawData_6.csv", "bluehill-universal-sample-mit/sample_bluehill.csv",
+    "zwick-tra-mit/*.TRA", "zwick-meat-gpl3/230403*.xlsx", "muscle-ramp-hold-mit/*.csv",
+    "oocyte-afm-mit/cell1-0008_full.csv", "optics11-chiaro-mit/chiaro.zip",
+)  # fmt: skip
 NOT_COMPARED = (
     "mach1-pork-gpl3/09-s-1_36.04_11.85_04.68.txt",
     "shimadzu-gpl3/Exemple_*.csv",

@@ -120,13 +120,9 @@ def test_a_bad_sheet_never_stops_the_others(tmp_path):
         for item in items
     ]
     assert found == [
-        "A 1",
-        ("A 2", "text_in_numbers", 5, 2),
-        ("A 3", "empty_cell", 5, 2),
-        ("A 4", "time_backwards", 6, 1),
-        ("A 5", "no_rows", 3, None),
-        "A 6",
-    ]
+        "A 1", ("A 2", "text_in_numbers", 5, 2), ("A 3", "empty_cell", 5, 2), ("A 4", "time_backwards", 6, 1),
+        ("A 5", "no_rows", 3, None), "A 6",
+    ]  # fmt: skip
     good = items[0]
     assert good.displacement_mm[3] == 1.5
     assert good.specimen == "A 1"
@@ -162,13 +158,10 @@ def test_recipe_says_why_and_can_be_forced(tmp_path):
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"columns": {"stress": "a"}},
-        {"units": {"force": "mm"}},
-        {"specimen_by": "("},
-        {"delimiter": "::"},
+        {"columns": {"stress": "a"}}, {"units": {"force": "mm"}}, {"specimen_by": "("}, {"delimiter": "::"},
         {"decimal": ";"},
     ],
-)
+)  # fmt: skip
 def test_options_that_make_no_sense_are_usage_errors(wrong):
     with pytest.raises(UsageError):
         ReadOptions(**wrong)

@@ -35,13 +35,10 @@ def memory() -> object:
 @pytest.mark.parametrize(
     ("path", "expected"),
     [
-        ("s3://bucket/logs", "s3://bucket/logs"),
-        (str(Path("s3://bucket/logs")), "s3://bucket/logs"),
-        (str(Path("file:///data/logs")), "file:///data/logs"),
-        ("C:/data", None),
-        ("logs/a.csv", None),
+        ("s3://bucket/logs", "s3://bucket/logs"), (str(Path("s3://bucket/logs")), "s3://bucket/logs"),
+        (str(Path("file:///data/logs")), "file:///data/logs"), ("C:/data", None), ("logs/a.csv", None),
     ],
-)
+)  # fmt: skip
 def test_a_url_is_told_from_a_path(path: str, expected: str | None) -> None:
     assert url_of(path) == expected
 

@@ -228,14 +228,11 @@ def test_whole_numbers_whose_marks_are_printed_have_lost_none(tmp_path: Path) ->
 @pytest.mark.parametrize(
     "line",
     [
-        b"1" * 60_000,
-        b"1 " + b"1" * 60_000 + b" x",
-        b"1 2" + b" " * 60_000 + b"x",
-        b"a(" * 30_000,
+        b"1" * 60_000, b"1 " + b"1" * 60_000 + b" x", b"1 2" + b" " * 60_000 + b"x", b"a(" * 30_000,
         b" " * 60_000,
     ],
     ids=["digits", "more digits", "spaces", "brackets", "blank"],
-)
+)  # fmt: skip
 def test_lines_of_one_kind_are_looked_at_once(line: bytes) -> None:
     # a pattern that tries every division of such a line would not come to an end
     rows = b"".join(b"%d.5 %d.25 3.5\n" % (k, k) for k in range(9))
@@ -364,21 +361,13 @@ LABVIEW = (
 @pytest.mark.parametrize(
     "line",
     [
-        "Sampling rate: 100 Hz",
-        "# Sample Rate (Hz): 100",
-        "Sampling frequency,0.1,kHz",
-        "Data Acquisition Rate,100 samples/s",
-        "sample_rate,100",
-        "Fs = 100",
-        "dt,0.01",
-        "Sampling interval,10 ms",
-        "Abtastrate,100 Hz",
-        "Abtastintervall,0.01 s",
-        "Fréquence d'échantillonnage,100 Hz",
-        "Frecuencia de muestreo (Hz),100",
+        "Sampling rate: 100 Hz", "# Sample Rate (Hz): 100", "Sampling frequency,0.1,kHz",
+        "Data Acquisition Rate,100 samples/s", "sample_rate,100", "Fs = 100", "dt,0.01",
+        "Sampling interval,10 ms", "Abtastrate,100 Hz", "Abtastintervall,0.01 s",
+        "Fréquence d'échantillonnage,100 Hz", "Frecuencia de muestreo (Hz),100",
         "Sampling rate,100 Hz\nSampling interval,0.01 s",
     ],
-)
+)  # fmt: skip
 def test_the_rate_of_the_header_is_the_clock(tmp_path: Path, line: str) -> None:
     trial = read(put(tmp_path / "a.csv", f"{line}\n{NAMES}{ROWS}"))
     assert trial.time_s == pytest.approx(0.01 * np.arange(40))
@@ -389,16 +378,10 @@ def test_the_rate_of_the_header_is_the_clock(tmp_path: Path, line: str) -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        "Sample height,10 mm",
-        "Sample,100",
-        "Samples,40",
-        "Test rate,100 mm/min",
-        "Sampling time,12 s",
-        "Sampling rate,100 Hz\nSampling interval,0.02 s",
-        "Sampling rate,0 Hz",
-        "Sampling rate,fast",
+        "Sample height,10 mm", "Sample,100", "Samples,40", "Test rate,100 mm/min", "Sampling time,12 s",
+        "Sampling rate,100 Hz\nSampling interval,0.02 s", "Sampling rate,0 Hz", "Sampling rate,fast",
     ],
-)
+)  # fmt: skip
 def test_no_other_line_is_taken_for_a_rate_and_the_way_out_is_named(tmp_path: Path, line: str) -> None:
     error = refusal(put(tmp_path / "a.csv", f"{line}\n{NAMES}{ROWS}"))
     assert error.code == "no_columns"

@@ -42,12 +42,9 @@ RAMP_STEP_N = 0.5
 
 #: Faults that last: what detects each, and within how many ticks.
 LASTING = [
-    ("unplug", Fault.TRANSPORT, 1),
-    ("silence", Fault.NO_REPLY, 100),
-    ("bad packets", Fault.BAD_PACKETS, 20),
-    ("jump", Fault.ENCODER_JUMP, 1),
-    ("unhomed", Fault.NOT_HOMED, 1),
-]
+    ("unplug", Fault.TRANSPORT, 1), ("silence", Fault.NO_REPLY, 100), ("bad packets", Fault.BAD_PACKETS, 20),
+    ("jump", Fault.ENCODER_JUMP, 1), ("unhomed", Fault.NOT_HOMED, 1),
+]  # fmt: skip
 
 
 def firm(times_s: tuple[float, ...], positions_m: tuple[tuple[float, float, float], ...]) -> Hand:

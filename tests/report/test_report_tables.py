@@ -151,14 +151,11 @@ VERSIONS = {"emcee": "3.1.6", "lmfit": "1.3.4", "numba": "0.68.1", "numpy": "2.4
 @pytest.mark.parametrize(
     ("noise", "sampler", "wanted", "seed", "branches", "degree", "given"),
     [
-        ("white", "emcee", 2_000, 0, 1, 0, ("auto", "auto")),
-        ("ar1", "emcee", 150, 7, 2, 1, (2, "auto")),
-        ("white+ar1", "emcee", 2_000, 0, 3, 2, ("auto", 2)),
-        ("white+ar1", "emcee", 150, 7, 2, 2, (2, 2)),
-        ("white", "none", 0, 3, 1, 0, ("auto", "auto")),
-        ("ar1", "none", 0, 3, 2, 1, (2, "auto")),
+        ("white", "emcee", 2_000, 0, 1, 0, ("auto", "auto")), ("ar1", "emcee", 150, 7, 2, 1, (2, "auto")),
+        ("white+ar1", "emcee", 2_000, 0, 3, 2, ("auto", 2)), ("white+ar1", "emcee", 150, 7, 2, 2, (2, 2)),
+        ("white", "none", 0, 3, 1, 0, ("auto", "auto")), ("ar1", "none", 0, 3, 2, 1, (2, "auto")),
     ],
-)
+)  # fmt: skip
 def test_methods_are_read_back_as_the_options_of_the_run(
     noise, sampler, wanted, seed, branches, degree, given
 ):

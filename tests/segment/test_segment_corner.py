@@ -211,12 +211,9 @@ def held_preload(branches, *, hold_s=10.0, rest_s=5.0, noise=0.002, seed=0):
 
 
 TISSUES = {
-    "tau 1 s": ((1.0, 1.5),),
-    "tau 5 s": ((5.0, 1.5),),
-    "two": ((0.3, 1.2), (5.0, 1.0)),
-    "tau 0.1 s": ((0.1, 1.5),),
-    "elastic": (),
-}
+    "tau 1 s": ((1.0, 1.5),), "tau 5 s": ((5.0, 1.5),), "two": ((0.3, 1.2), (5.0, 1.0)),
+    "tau 0.1 s": ((0.1, 1.5),), "elastic": (),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("rest_s", [0.0, 5.0])

@@ -186,13 +186,9 @@ def odd(rng: np.random.Generator) -> tuple[Trial, SegmentOptions]:
         lambda: np.round(np.cumsum(rng.normal(0.1, 1.0, n))),
     ][int(rng.integers(7))]()
     force = [
-        rng.normal(0.0, 1.0, n),
-        10.0 * depth,
-        np.zeros(n),
-        np.maximum(depth, 0.0) ** 2,
-        1e-9 * depth,
+        rng.normal(0.0, 1.0, n), 10.0 * depth, np.zeros(n), np.maximum(depth, 0.0) ** 2, 1e-9 * depth,
         1e6 * depth,
-    ][int(rng.integers(6))]
+    ][int(rng.integers(6))]  # fmt: skip
     middle = float(time[n // 3])
     cut = rng.random() < 0.1 and middle < time[-1]
     options = SegmentOptions(

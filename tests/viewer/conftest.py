@@ -17,15 +17,10 @@ from tissueid.viewer.bundling import BUNDLE
 CHROMIUM = Path("/usr/bin/chromium")
 #: A software renderer, and nothing that leaves this machine.
 FLAGS = (
-    "--no-sandbox",
-    "--no-first-run",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-    "--disable-background-networking",
-    "--disable-component-update",
+    "--no-sandbox", "--no-first-run", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist", "--disable-background-networking", "--disable-component-update",
     "--disable-sync",
-)
+)  # fmt: skip
 
 
 @pytest.fixture

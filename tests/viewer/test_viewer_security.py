@@ -41,11 +41,7 @@ ALL = Access("0.0.0.0", 8765, TOKEN)
             OPEN,
             ("127.0.0.1:8765", "localhost:8765", "[::1]:8765"),
             (
-                "localhost",
-                "127.0.0.1:80",
-                "evil.example:8765",
-                "127.0.0.1.evil.example:8765",
-                "",
+                "localhost", "127.0.0.1:80", "evil.example:8765", "127.0.0.1.evil.example:8765", "",
                 "192.0.2.7:8765",
             ),
         ),
@@ -57,7 +53,7 @@ ALL = Access("0.0.0.0", 8765, TOKEN)
         ),
     ],
     ids=("loopback", "one address", "every address"),
-)
+)  # fmt: skip
 def test_only_its_own_address_is_a_host(access, welcome, foreign):
     for host in (*welcome, *foreign):
         assert access.names(host) is (host in welcome), host
@@ -130,22 +126,13 @@ def test_the_page_needs_the_token_and_forbids_everything_foreign():
 
 
 CLOSED = [
-    ("not JSON", 1007),
-    ("[]", 1007),
-    ('{"v": 1}', 1007),
-    ('{"v": 2, "answer": 0}', 1007),
-    ('{"v": 1, "answer": 99}', 1007),
-    ('{"v": 1, "answer": -1}', 1007),
-    ('{"v": true, "pointer": null}', 1007),
-    ('{"v": 1, "force_N": [0, 0, 9]}', 1007),
-    ('{"v": 1, "pointer": [0, 0, 1e9]}', 1007),
-    ('{"v": 1, "pointer": null}', 1008),
-    ('{"v": 1, "pointer": [0, 0, 0.1]}', 1008),
-    ('{"v": 1, "play": {"at_s": 0}}', 1008),
-    (b"\x00\x01\x02", 1003),
-    ("x" * (LARGEST_MESSAGE + 1), 1009),
-    (b"x" * 1_000_000, 1009),
-]
+    ("not JSON", 1007), ("[]", 1007), ('{"v": 1}', 1007), ('{"v": 2, "answer": 0}', 1007),
+    ('{"v": 1, "answer": 99}', 1007), ('{"v": 1, "answer": -1}', 1007),
+    ('{"v": true, "pointer": null}', 1007), ('{"v": 1, "force_N": [0, 0, 9]}', 1007),
+    ('{"v": 1, "pointer": [0, 0, 1e9]}', 1007), ('{"v": 1, "pointer": null}', 1008),
+    ('{"v": 1, "pointer": [0, 0, 0.1]}', 1008), ('{"v": 1, "play": {"at_s": 0}}', 1008),
+    (b"\x00\x01\x02", 1003), ("x" * (LARGEST_MESSAGE + 1), 1009), (b"x" * 1_000_000, 1009),
+]  # fmt: skip
 
 
 def code_of(connection: ClientConnection) -> int | None:
