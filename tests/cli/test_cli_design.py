@@ -165,8 +165,6 @@ def test_the_page_of_documentation_runs_as_printed(tmp_path, monkeypatch):
         assert " ".join(line.split()) in said, line
 
 
-pytestmark = pytest.mark.needs_jit
-
 FEWEST = "20"
 RECIPE = """\
 name = "small"
