@@ -36,7 +36,7 @@ def recorded(sigma=0.0, n=5000, spike=None, seed=0):
     force = MODEL.force(THETA, ContactPath(time, depth))
     force = force + sigma * np.random.default_rng(seed).normal(size=n)
     if spike is not None:
-        force[spike] += 40.0
+        force[spike : spike + 2] += 40.0, 20.0  # no level: it is fitted
     trial = Trial("s", time, depth, force, source=Source(path="a.csv", sheet="Tab 1"))
     corner = int(np.argmax(depth >= 4.0))
     phases = (
