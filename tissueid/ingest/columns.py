@@ -381,9 +381,11 @@ def choose_columns(
 def _below_second(head: _Head, time: _Column) -> tuple[int, float] | None:
     """Column of the part of a second beside a time in whole ones, by its name, and its unit [s]."""
     whole = _WHOLE_SECONDS.fullmatch(plain_words(time.name))
-    for column in head.columns if whole else ():
+    if whole is None:
+        return None
+    for column in head.columns:
         part = _BELOW_SECOND.fullmatch(plain_words(column.name))
-        if whole and part and part[1] == whole[1]:
+        if part is not None and part[1] == whole[1]:
             return column.index, 1e-3 if part[2] else 1e-6 if part[3] else 1e-9
     return None
 

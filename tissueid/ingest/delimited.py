@@ -220,7 +220,8 @@ def _continuous(
     columns, more = choice.timed(
         columns, lambda other: read_body(text, layout, other, place)[0], place, layout.first_line
     )
-    read = columns, flags = columns, [*flags, *more]
+    flags = [*flags, *more]
+    read = columns, flags
     said = [flag.values for flag in choice.flags if flag.values.get("quantity") == "displacement"]
     names = [name for values in said for name in values.get("alternatives", ())]
     while restart(columns[0], columns[1]) is not None:

@@ -8,23 +8,22 @@ from collections.abc import Sequence
 from tissueid.ingest.columns import channel_columns, split_name
 from tissueid.ingest.numbers import Row
 from tissueid.ingest.options import ReadOptions
-from tissueid.ingest.vocabulary import Channel, plain_words, rank_of
+from tissueid.ingest.vocabulary import UNIT_WORD, Channel, plain_words, rank_of
 from tissueid.units import quantity_of
 
-_UNIT = r"(?:units?|einheit(?:en)?|unit[eé]s?|unidad(?:es)?|unit[aà])"
 #: A name and its unit: ``Force unit: mN``, ``force_unit=mN``, ``Units (force): mN``, ``Force in mN``.
 _OF_ONE = (
-    re.compile(rf"(.{{1,40}}?\S)[ _]?{_UNIT}\s?[:=,]?\s?(\S{{1,12}})", re.IGNORECASE),
+    re.compile(rf"(.{{1,40}}?\S)[ _]?{UNIT_WORD}\s?[:=,]?\s?(\S{{1,12}})", re.IGNORECASE),
     re.compile(
-        rf"{_UNIT}\s?(?:of |de |der |des |du |del |di |do |\()(.{{1,40}}?)\)?\s?[:=,]?\s(\S{{1,12}})",
+        rf"{UNIT_WORD}\s?(?:of |de |der |des |du |del |di |do |\()(.{{1,40}}?)\)?\s?[:=,]?\s(\S{{1,12}})",
         re.IGNORECASE,
     ),
     re.compile(r"(.{1,40}\S) in (\S{1,12})"),
 )
-_QUOTED = re.compile(rf'"(\w{{1,40}}?)_?{_UNIT}"\s*:\s*"([^"]{{1,12}})"', re.IGNORECASE)
+_QUOTED = re.compile(rf'"(\w{{1,40}}?)_?{UNIT_WORD}"\s*:\s*"([^"]{{1,12}})"', re.IGNORECASE)
 #: Units of several columns: ``Units: s, um, gf``, ``Unit system: SI (s, mm, N)``.
 _OF_ALL = re.compile(
-    rf"(?:display |data )?{_UNIT}(?:(?:\s?[:=,]\s?|\s)([^()]{{3,80}})|[^()]{{1,60}}\(([^()]{{3,80}})\))",
+    rf"(?:display |data )?{UNIT_WORD}(?:(?:\s?[:=,]\s?|\s)([^()]{{3,80}})|[^()]{{1,60}}\(([^()]{{3,80}})\))",
     re.IGNORECASE,
 )
 #: Words by which a header calls the displacement where it states a unit, accents stripped.

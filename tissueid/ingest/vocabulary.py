@@ -167,8 +167,10 @@ _COMMENTS = re.compile(
 )
 
 
+#: Words for a unit, with their accents and without.
+UNIT_WORD = r"(?:unit[eéaà]?s?|einheit(?:en)?|unidad(?:es)?|单位|単位)"
 #: Word before a row or over a column of units.
-_UNITS_KEY = re.compile(r"(?:y )?units?(?: ?name| label)?s?|einheit(?:en)?|unites?|unidad(?:es)?|单位|単位")
+_UNITS_KEY = re.compile(rf"(?:y )?{UNIT_WORD}(?: ?name| label)?s?")
 
 
 def is_units_key(cell: str) -> bool:
