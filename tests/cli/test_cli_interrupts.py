@@ -176,6 +176,14 @@ def test_an_interrupted_fit_keeps_its_finished_specimens(place, monkeypatch):
     assert run("validate", "new").code == 0
 
 
+def test_a_scheduler_that_ends_the_job_is_heard_as_ctrl_c(place):
+    with start("fit", "lab", "-o", "new", "-q", *QUICK) as process:
+        until((place / "new" / ".runs").exists)
+        process.terminate()
+        assert process.wait(timeout=60) == 130
+    run("fit", "lab", "-o", "new", "-q", *QUICK, code=0)
+
+
 def test_while_it_is_still_being_loaded(tmp_path):
     # a module that is imported first of all, and in which the signal comes
     (tmp_path / "click").mkdir()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import sys
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -257,6 +258,9 @@ def run() -> None:
     # a stream that was closed before the start is None: what is said there goes nowhere
     nowhere = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
     sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        # a scheduler ends a job so: it is told, and leaves its place, as after Ctrl-C
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     code = main()
     if code == EXIT_INTERRUPTED:
         # an interrupt that passed through exec() of a string would make Python die of the signal instead
