@@ -202,6 +202,11 @@ _CAUTION = {
         "Of one speed and one depth, the split between F_s and K at smaller depths is the polynomials', "
         "not the data's; a relaxation time that follows the hold is one of that window.",
         "Test a second speed or depth.", "have numbers that rest on the form of the law"),
+    "split_assumed": FlagKind("Split of F_s and K",
+        "K is taken as constant: nothing here tells it from one that varies with depth",
+        "a1, a2, a3, K and viscosity, with their intervals, are those of a constant K; F_s at the full depth "
+        "and relaxation times do not rest on it.",
+        "Test a second speed or depth.", "rest on a constant K"),
     "window_dependent": FlagKind("Window",
         "halving the window moves the relaxation time by more than a fifth",
         "The relaxation is not one exponential; its time depends on where one looks.",

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, t
+from scipy.stats import chi2, norm, t
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.inference.blocks import Blocks
 from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.optimum import Optimum, covariance_of, minimise, nearest_in_cone, whitener_of
-from tissueid.inference.system import System
+from tissueid.inference.system import MACHINE, System
 from tissueid.inference.window import FOLDS, FittedLog
 from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import DEGREES
@@ -37,6 +37,8 @@ MISSES, MISSES_OF_LAWS = 1.5, 3.0
 #: Gain in ln mean square error that K of a higher degree, or a third branch, must have where there is one
 #: program, and level at which the logs themselves must show any: what is left out rests on few gains.
 BEND, SHOWN = 0.2, 0.99
+#: Times that the static force is less well known under a K that varies, from which a constant K is told.
+BENDS = 2.0
 #: Groups of logs at the most, steps of a fit without one, and of a log's own parameters under it.
 MOST_GROUPS, REFIT_STEPS, OWN_STEPS = 8, 20, 8
 #: Share of its depth at which a ramp has ended, and fewest observations that tell a log's own parameters.
@@ -118,6 +120,38 @@ def rival_of(tried: Tried, chosen: Tried) -> Rival:
     law, point = tried.law, tried.optimum.point
     theta = law.theta(point.log_times, point.linear)[0]
     return Rival(tried.name, gain, stderr, wide, float(np.exp(ln_tau)), apart, law.model(), theta)
+
+
+@dataclass(frozen=True, slots=True)
+class Bent:
+    """Static force at half the depth, which a K that varies would part otherwise [N]."""
+
+    depth_mm: float
+    force_N: float  # under the constant K
+    ends_N: tuple[float, float]  # 95 % of it under one that is linear in depth, within passive tissue
+
+
+def bent_of(chosen: Tried, tried: Sequence[Tried]) -> Bent | None:
+    """Static force under a K of one degree more, as far as that leaves it open; ``None`` where it doesn't."""
+    force, low, high = _half_way(chosen)
+    for one in tried:
+        if (one.branches, one.degree) == (chosen.branches, chosen.degree + 1):
+            # of a K that varies the constant one is a case
+            ends = min(_half_way(one)[1], low), max(_half_way(one)[2], high)
+            if ends[1] - ends[0] > BENDS * (high - low):
+                return Bent(0.5 * chosen.law.depth_mm, force, ends)
+    return None
+
+
+def _half_way(one: Tried) -> tuple[float, float, float]:
+    """Static force at half the depth and the ends of its 95 % interval within passive tissue [N]."""
+    shared, covariance, prior = one.optimum.point.shared, one.optimum.covariance, one.optimum.prior
+    weights, at = np.zeros(shared.size), one.law.times + len(MACHINE)
+    weights[at : at + one.law.static_size] = 0.5 ** np.arange(1.0, one.law.static_size + 1)
+    to = covariance @ weights
+    far = float(norm.ppf(0.975)) * to / np.sqrt(max(float(weights @ to), 1e-300))
+    ends = [nearest_in_cone(shared + by, covariance, prior.cone, prior.least) for by in (-far, far)]
+    return float(weights @ shared), float(weights @ ends[0]), float(weights @ ends[1])
 
 
 def _first_time(one: Tried) -> tuple[float, float]:

@@ -19,9 +19,11 @@ from scipy import stats
 from tissueid.inference.blocks import Blocks
 from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law, law_of
 from tissueid.inference.choice import (
+    Bent,
     Groups,
     Rival,
     Tried,
+    bent_of,
     choice_of,
     chosen_among,
     describing,
@@ -96,6 +98,7 @@ class Identified:
     left_out: str  # what was predicted
     request: Request
     rivals: tuple[Rival, ...] = ()  # other laws beside the chosen one, the simplest of each kind
+    bent: Bent | None = None  # the static force, were K not constant
     other: Identified | None = None  # the same order under a start that is as likely (:mod:`.arrival`)
 
     @property
@@ -289,7 +292,8 @@ def identify_logs(
     found = _finished(fitting, choice.chosen, evidence, memory, groups.kind, tick)
     table = () if request.single else table_of(orders.table, choice, paper)
     as_good = orders.as_good if choice.chosen is paper else ()
-    return replace(found, table=table, as_good=as_good, rivals=choice.simplest)
+    bent = orders.bent if choice.chosen is paper else None
+    return replace(found, table=table, as_good=as_good, rivals=choice.simplest, bent=bent)
 
 
 class _Orders(NamedTuple):
@@ -298,6 +302,7 @@ class _Orders(NamedTuple):
     chosen: Tried | None
     table: tuple[dict[str, Any], ...]
     as_good: tuple[tuple[int, int], ...]
+    bent: Bent | None = None
 
 
 def _orders_tried(
@@ -320,7 +325,8 @@ def _orders_tried(
         best = tuple((one.branches, one.degree) for one in as_good)
         orders = [] if single else [one for one in _further(request, chosen, best) if one not in done]
         if not orders:
-            return _Orders(chosen, table, best)
+            constant = not single and chosen.degree == 0 and one_program(facts)
+            return _Orders(chosen, table, best, bent_of(chosen, tried) if constant else None)
 
 
 def _tried(fitting: _Fitting, law: ChannelLaw, memory: Memory, groups: Groups | None) -> Tried:

@@ -268,6 +268,7 @@ class _Found:
             *own,
             *undecided_flags(found),
             *rival_flags(found),
+            *bent_flags(found),
             *window_flags(self.window),
             *damping_flags(found, here),
             *_machine_flags(found, point),
@@ -487,6 +488,18 @@ def rival_flags(identified: Identified) -> tuple[Flag, ...]:
     if np.isfinite(best.tau_s):
         words, values = f"{words}, with tau {best.tau_s:.3g} s", values | {"tau_s": best.tau_s}
     return (Flag("form_dependent", words, values),)
+
+
+def bent_flags(identified: Identified) -> tuple[Flag, ...]:
+    """F_s and K that one speed and depth part by the constancy of K alone."""
+    bent = identified.bent
+    if bent is None:
+        return ()
+    (low, high), known = bent.ends_N, f"{bent.force_N:.3g}"
+    force = f"F_s at {bent.depth_mm:.3g} mm"
+    words = f"were K linear in depth, {force} could be {low:.3g} to {high:.3g} N (constant: {known})"
+    values = {"depth_mm": bent.depth_mm, "force_N": bent.force_N, "low_N": low, "high_N": high}
+    return (Flag("split_assumed", words, values),)
 
 
 def damping_flags(identified: Identified, tissue: TissueEstimate) -> tuple[Flag, ...]:
