@@ -253,7 +253,14 @@ def test_committed_sets_give_the_committed_identification(datasets: Path) -> Non
 ETA_N_S_PER_MM = 1.6
 
 
-def fit(seed: int, *, repeats: int = 1, speeds: tuple[float, ...] = (90.0,), **options: int) -> SpecimenFit:
+def fit(
+    seed: int,
+    *,
+    repeats: int = 1,
+    speeds: tuple[float, ...] = (90.0,),
+    stiffness: tuple[float, ...] = (0.8,),
+    **options: int,
+) -> SpecimenFit:
     """Ramps to 5 mm of depth from 1 mm in air, 20 s of hold; stops rounded, displacement with noise."""
     logs = tuple(Log(f"v{speed:g}", (Move(6.0, speed), Hold(20.0)), repeats=repeats) for speed in speeds)
     plan = Recipe(
@@ -261,7 +268,7 @@ def fit(seed: int, *, repeats: int = 1, speeds: tuple[float, ...] = (90.0,), **o
         logs,
         rate_Hz=100.0,
         static=(0.3, 0.05, 0.01),
-        branches=(Branch((0.8,), 2.0),),
+        branches=(Branch(stiffness, 2.0),),
         sigma_N=0.01,
         sigma_mm=0.0005,
         contact_offset_mm=1.0,
@@ -297,6 +304,20 @@ def test_a_varying_stiffness_asked_for_at_one_speed_is_flagged_with_the_viscosit
     assert flag.values["depth_mm"] == pytest.approx(5.0, abs=0.05)
 
 
+@pytest.mark.parametrize("stiffness", [(0.8,), (0.6, 0.05)])
+def test_one_push_says_how_far_its_static_force_rests_on_a_constant_stiffness(stiffness) -> None:
+    found = fit(34, stiffness=stiffness)
+    assert found.model.stiffness_degree == 0
+    (flag,) = (flag for flag in found.flags if flag.code == "split_assumed")
+    depth, truth = flag.values["depth_mm"], np.polynomial.Polynomial((0.0, 0.3, 0.05, 0.01))
+    assert depth == pytest.approx(2.5, abs=0.05)
+    assert flag.values["low_N"] < truth(depth) < flag.values["high_N"]
+    # what its own interval of a constant K can't hold, where K grows
+    a1 = found.parameter("static_1_N_per_mm")
+    assert (abs(a1.value - 0.3) < 5.0 * a1.stderr) == (stiffness == (0.8,))
+
+
 def test_two_speeds_are_not_flagged() -> None:
     found = fit(31, speeds=(90.0, 10.0), branches=1, stiffness_degree=1)
     assert "form_dependent" not in {flag.code for flag in found.flags}
+    assert "split_assumed" not in {flag.code for flag in fit(31, speeds=(90.0, 10.0)).flags}
