@@ -98,10 +98,23 @@ def test_a_counter_that_leaves_samples_out_is_the_clock(tmp_path: Path) -> None:
     assert {"time_counted", "column_choice", "gap"} <= set(codes(trial))
 
 
-def test_names_stand_behind_the_row_numbers_of_r(tmp_path: Path) -> None:
+@pytest.mark.parametrize("names", ["time_s\tdisp_mm\tforce_N", "X\tt_s\tx_mm\tF_N"])
+def test_names_stand_behind_the_row_numbers_of_r(tmp_path: Path, names: str) -> None:
     lines = "".join(f"{k + 1}\t{0.1 * k:.1f}\t{0.02 * k:.2f}\t{0.5 * k:.1f}\n" for k in range(40))
-    trial = read(put(tmp_path / "a.txt", f"time_s\tdisp_mm\tforce_N\n{lines}"))
+    trial = read(put(tmp_path / "a.txt", f"{names}\n{lines}"))
+    assert trial.flags == ()
     assert (trial.time_s[2], trial.displacement_mm[2], trial.force_N[2]) == pytest.approx((0.2, 0.04, 1.0))
+
+
+def test_a_name_that_matlab_numbers_is_another_column_of_that_name(tmp_path: Path) -> None:
+    lines = "".join(f"{0.1 * k:.1f},{0.5 * k:.1f},{0.02 * k:.2f},{k}.5\n" for k in range(40))
+    trial = read(put(tmp_path / "a.csv", f"Time_s_,Force_N_,Displacement_mm_,Force_N__1\n{lines}"))
+    assert (trial.source.columns["force"], codes(trial)) == ("Force_N_", ["column_choice"])
+
+
+def test_a_first_column_x_that_is_the_only_travel_is_no_row_number(tmp_path: Path) -> None:
+    lines = "".join(f"{k + 1},{0.1 * k:.1f},{0.5 * k:.1f}\n" for k in range(40))
+    assert read(put(tmp_path / "a.csv", f"X,t,F\n{lines}")).displacement_mm[2] == 3.0
 
 
 @pytest.mark.parametrize(

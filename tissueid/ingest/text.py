@@ -145,7 +145,7 @@ def _is_clocked(line: bytes) -> bool:
 _PIECE_BYTES = 1 << 20
 _CODE_PAGES = ("latin-1", "cp1252", "cp1250", "gbk", "cp932")
 #: Code pages that known words alone speak for.
-_BY_WORDS = ("cp1251", "cp949", "cp1254")
+_BY_WORDS = ("cp1251", "cp949", "cp1254", "big5")
 _MAGIC = (
     (b"\x89PNG", "a PNG image"),
     (b"\xff\xd8\xff", "a JPEG image"),
