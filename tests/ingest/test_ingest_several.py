@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from ingest_files import codes, put, refusal
+from ingest_files import codes, put, refusal, zipped
 
 from tissueid.errors import InputError
 from tissueid.ingest import ReadOptions, read_each, read_one, read_trials
@@ -356,11 +356,19 @@ def test_tables_of_rarer_suffixes_are_found_in_a_folder(tmp_path: Path) -> None:
     [
         (b"MATLAB 5.0 MAT-file", "a MATLAB file"),
         (b"TDSm\x0e\0\0\0", "a LabVIEW TDMS"),
-        (b"\x93NUMPY\1", "NumPy"),
+        (b"\x93NUMPY\1", "numpy.load(FILE)"),
+        (b"PAR1\x15", "pandas.read_parquet(FILE)"),
+        (b"ARROW1\0\0", "pandas.read_feather(FILE)"),
+        (b"\x80\4\x95", "pandas.read_pickle(FILE)"),
     ],
 )
 def test_files_of_programs_are_refused_by_what_they_are(tmp_path: Path, data: bytes, kind: str) -> None:
     (tmp_path / "a.mat").write_bytes(data + bytes(200))
     error = refused(tmp_path / "a.mat", "not_an_export")
     assert kind in str(error)
-    assert str(error).endswith("or save its columns as CSV")
+    assert "or save its columns as CSV" in str(error)
+
+
+def test_an_archive_of_arrays_says_how_it_is_saved(tmp_path: Path) -> None:
+    arrays = put(tmp_path / "a.npz", zipped({"t.npy": b"\x93NUMPY", "x.npy": b"\x93NUMPY"}))
+    assert "numpy.load(FILE)" in refused(arrays, "not_an_export").message
