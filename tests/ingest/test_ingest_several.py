@@ -66,6 +66,40 @@ def test_each_head_has_its_own_units(tmp_path: Path) -> None:
     assert [trial.force_N[2] for trial in read_trials(put(tmp_path / "b.csv", text))] == [1.5, 1.5e-3]
 
 
+@pytest.mark.parametrize(
+    "head",
+    [
+        "B\nTime (s),Extension (um),Load (mN)\n",
+        "\nTime,Extension,Load\ns,um,mN\n",
+        "Units,s,um,mN\nTime,Extension,Load\n",
+    ],
+)
+def test_a_head_in_other_units_begins_another_recording(tmp_path: Path, head: str) -> None:
+    text = "A\n" + HEAD + "".join(lines(30, 1.0)) + head + "".join(lines(30, 1.0))
+    first, second = read_trials(put(tmp_path / "a.csv", text))
+    assert (first.displacement_mm[2], first.force_N[2]) == (0.1, 1.5)
+    assert (second.displacement_mm[2], second.force_N[2]) == pytest.approx((1e-4, 1.5e-3))
+    later = "".join(lines(30, 8.5, start=3.0))
+    assert refusal(put(tmp_path / "b.csv", text.rsplit("0.0,", 1)[0] + later)).code == "ragged_rows"
+
+
+def test_a_head_of_exchanged_columns_begins_another_recording(tmp_path: Path) -> None:
+    text = HEAD + "".join(lines(30, 1.0)) + "Time (s),Load (N),Extension (mm)\n" + "".join(lines(30, 1.0))
+    assert read_trials(put(tmp_path / "a.csv", text))[1].displacement_mm[2] == 1.5
+
+
+def test_a_segment_of_labview_whose_time_starts_again_is_a_recording(tmp_path: Path) -> None:
+    def segment_in(units: str, start: float) -> str:
+        head = f"Channels\t2\t\t\nTime\t10:11:12\t10:11:12\t\nY_Unit_Label\t{units}\t\n***End_of_Header***\n"
+        return head + "X_Value\tZ\tLoad\tComment\n" + "".join(lines(30, 1.0, start=start)).replace(",", "\t")
+
+    top = "LabVIEW Measurement\t\n***End_of_Header***\n\n"
+    text = top + segment_in("mm\tN", 0.0) + segment_in("mm\tN", 3.0) + segment_in("um\tmN", 0.0)
+    first, second = read_trials(put(tmp_path / "a.lvm", text))
+    assert (first.time_s.size, second.time_s.size) == (60, 30)
+    assert second.force_N[2] == pytest.approx(1.5e-3)
+
+
 @pytest.mark.parametrize(("second", "specimens"), [("A", ["A"]), ("B", ["A", "B"])])
 def test_another_specimen_named_above_a_head_begins_a_recording_though_the_time_goes_on(
     tmp_path: Path, second: str, specimens: list[str]

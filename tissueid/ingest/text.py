@@ -224,6 +224,7 @@ _MINUS, _MINUS_SIGN = "\u2212".encode(), re.compile("\u2212(?=[0-9.,])".encode()
 _SEGMENT_HEAD = re.compile(
     rb"^Channels[\t,;][^\n]*\n(?:(?!X_Value)[^\n]*\n){0,20}X_Value[^\n]*\n", re.MULTILINE
 )
+_FIRST_NUMBER = re.compile(rb"[+-]?\d+(?:[.,]\d*)?(?:[eE][+-]?\d+)?(?=[\t;])")
 
 
 @dataclass(frozen=True, slots=True)
@@ -438,12 +439,23 @@ def _on_one_line(data: bytes) -> bytes:
 
 
 def _one_measurement(data: bytes) -> bytes:
-    """A LabVIEW measurement without the heads that its segments repeat; their lines stay, empty."""
+    """A LabVIEW measurement without the heads that its segments repeat; their lines stay, empty.
+
+    The names and units of one behind which the time starts again stay: it begins another recording.
+    """
     first = _SEGMENT_HEAD.search(data) if data.startswith(b"LabVIEW Measurement") else None
     if first is None:
         return data
-    rest = _SEGMENT_HEAD.sub(lambda head: b"\n" * head[0].count(b"\n"), data[first.end() :])
-    return data[: first.end()] + rest
+    rest = data[first.end() :]
+
+    def goes_on(head: re.Match[bytes]) -> bytes:
+        above = rest[max(head.start() - LONGEST_NAMES, 0) : head.start()].rstrip().rpartition(b"\n")[2]
+        times = [_FIRST_NUMBER.match(line) for line in (above, rest[head.end() : head.end() + LONGEST_NAMES])]
+        last, begun = (float(time[0].replace(b",", b".")) if time else 0.0 for time in times)
+        kept = (b"Y_Unit_Label", b"X_Value") if begun < last else ()
+        return b"\n".join(line if line.startswith(kept) else b"" for line in head[0].split(b"\n"))
+
+    return data[: first.end()] + _SEGMENT_HEAD.sub(goes_on, rest)
 
 
 def _unwrapped(text: Text) -> Text:
