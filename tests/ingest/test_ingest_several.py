@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from ingest_files import codes, put, refusal, zipped
+from ingest_files import codes, put, refusal, workbook, zipped
 
 from tissueid.errors import InputError
 from tissueid.ingest import ReadOptions, read_each, read_one, read_trials
@@ -98,6 +98,20 @@ def test_a_segment_of_labview_whose_time_starts_again_is_a_recording(tmp_path: P
     first, second = read_trials(put(tmp_path / "a.lvm", text))
     assert (first.time_s.size, second.time_s.size) == (60, 30)
     assert second.force_N[2] == pytest.approx(1.5e-3)
+
+
+@pytest.mark.parametrize("between", [[["B"]], [["B", None, None], ["s", "um", "mN"]], [[], [None]]])
+def test_recordings_below_each_other_in_a_sheet_are_read(tmp_path: Path, between) -> None:
+    names = ["Time", "Extension", "Load"]
+    rows = [[float(cell) for cell in line.split(",")] for line in lines(30, 1.0)]
+    path = workbook(tmp_path / "a.xlsx", {"S": [names, *rows, *between, names, *rows]})
+    first, second = read_trials(path)
+    assert [first.source.sheet, second.source.sheet] == ["S::1", "S::2"]
+    scale = 1e-3 if len(between[-1]) > 1 else 1.0
+    assert (first.force_N[2], second.force_N[2]) == pytest.approx((1.5, 1.5 * scale))
+    rows[3][2] = "x"
+    broken = workbook(tmp_path / "b.xlsx", {"S": [names, *rows[4:], *between, names, *rows]})
+    assert [error.line for error in read_each(broken) if isinstance(error, InputError)] == [32 + len(between)]
 
 
 @pytest.mark.parametrize(("second", "specimens"), [("A", ["A"]), ("B", ["A", "B"])])
@@ -403,6 +417,9 @@ def test_files_of_programs_are_refused_by_what_they_are(tmp_path: Path, data: by
     assert "or save its columns as CSV" in str(error)
 
 
-def test_an_archive_of_arrays_says_how_it_is_saved(tmp_path: Path) -> None:
+def test_an_archive_of_arrays_and_formulas_without_values_say_how_they_are_saved(tmp_path: Path) -> None:
     arrays = put(tmp_path / "a.npz", zipped({"t.npy": b"\x93NUMPY", "x.npy": b"\x93NUMPY"}))
     assert "numpy.load(FILE)" in refused(arrays, "not_an_export").message
+    rows = [["Time (s)", "Extension (mm)", "Load (N)"], *([k, k, f"={k}*2"] for k in range(9))]
+    error = refused(workbook(tmp_path / "a.xlsx", {"S": rows}), "empty_cell")
+    assert "if formulas stand there, open the workbook" in error.message
