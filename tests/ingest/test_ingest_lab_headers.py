@@ -135,6 +135,11 @@ def test_a_clock_that_changes_its_form_far_below_the_head_goes_on(tmp_path: Path
     trial = read(put(tmp_path / "a.csv", f"Time,{NAMES}{lines}"))
     np.testing.assert_allclose(trial.time_s[400:], time[400:], atol=0.0051)
     assert trial.time_s.size == 440
+    seconds = "".join(f"{0.1 * k:.2f},{0.02 * k:.2f},{0.5 * k:.1f}\n" for k in range(400))
+    noon = put(
+        tmp_path / "b.csv", f"Time,{NAMES}{seconds}" + "".join(f"12:01:{k}.00,8,9\n" for k in range(10, 40))
+    )
+    assert refusal(noon).code == "text_in_numbers"
 
 
 @pytest.mark.parametrize("delimiter", [",", "  "])

@@ -135,7 +135,8 @@ def _clocked_rows(data: bytes) -> tuple[int, list[bytes]]:
     if first is None and b":" in tail and (late := _CELL_CLOCK.search(data, offset)) is not None:
         offset = data.rfind(b"\n", 0, late.start() + 1) + 1
         lines = data[offset : offset + HEAD_BYTES].split(b"\n")
-        first = 0 if _first_row(lines) == 0 else None
+        grown = 60 * int(late[1] or 0) + int(late[2]) in (1, 60)  # and no time of the day
+        first = 0 if grown and _first_row(lines) == 0 else None
     return offset, [] if first is None else [*lines[first:], *tail.split(b"\n")]
 
 
