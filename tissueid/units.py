@@ -2,7 +2,7 @@
 
 Not a unit system of our own: the factors are pint's.  Those of the units that machines print are kept
 here, and pint is loaded on the first other one (it costs half a second).  What is ours is the list of
-spellings that pint does not read: ``(sec)``, ``gf``, ``毫米``.
+spellings that pint does not read: ``(sec)``, ``gf``, ``毫米``, ``кгс``.
 """
 
 from __future__ import annotations
@@ -23,44 +23,33 @@ INTERNAL_UNITS: Mapping[Quantity, str] = {
 
 #: Spellings seen in exports that pint does not know, or takes for something else.
 _SPELLINGS: Mapping[str, str] = {
-    "S": "s",
-    "g": "force_gram",
-    "秒": "s",
-    "分": "min",
-    "毫米": "mm",
-    "微米": "um",
-    "牛": "N",
-    "牛顿": "N",
-    "千牛": "kN",
-    "毫牛": "mN",
-    "초": "s",
-    "с": "s",  # Cyrillic, as the next five
-    "сек": "s",
-    "мин": "min",
-    "мм": "mm",
-    "Н": "N",
-    "кН": "kN",
-    "cm³": "cm**3",
-    "%": "percent",
-}
+    "g": "force_gram", "cm³": "cm**3", "%": "percent",
+    # Cyrillic: a capital С is Celsius, Нм a torque, Гс a gauss
+    "с": "s", "мс": "ms", "мкс": "us", "м": "m", "нм": "nm", "Н": "N", "кН": "kN", "мН": "mN", "мкН": "uN",
+    "г": "force_gram", "гс": "force_gram",
+}  # fmt: skip
 #: Words that mean one unit however they are capitalised; ``MN``, ``Ms`` and ``G`` may mean two.
 #: Masses, where a force is printed, are their weight under standard gravity.
 _WORDS: Mapping[str, str] = {
-    "s": "sec secs sek seg sn second seconds",
-    "ms": "msec msecs millis millisecond milliseconds",
-    "us": "usec usecs µsec micros microsecond microseconds",
-    "min": "min mins minute minutes",
+    "s": "s sec secs sek seg sn second seconds sekunde sekunden seconde secondes secondi segundo segundos"
+    " 秒 초 сек",
+    "ms": "msec msecs millis millisecond milliseconds millisekunden 毫秒 ミリ秒 мсек",
+    "us": "usec usecs µsec micros microsecond microseconds 微秒",
+    "min": "min mins minute minutes minuten 分 мин",
     "hour": "hr hrs hour hours",
-    "mm": "mm millimeter millimeters millimetre millimetres",
-    "cm": "cm centimeter centimeters centimetre centimetres",
-    "um": "um micron microns micrometer micrometers micrometre micrometres",
+    "mm": "mm millimeter millimeters millimetre millimetres millimetri milímetros millimètres 毫米 ミリ мм",
+    "cm": "cm centimeter centimeters centimetre centimetres 厘米 см",
+    "um": "um micron microns micrometer micrometers micrometre micrometres 微米 мкм",
+    "nm": "nanometer nanometers nanometre nanometres 纳米",
     "inch": "in inch inches",
     "thou": "mil mils thou",
-    "newton": "newton newtons",
-    "kN": "kn kilonewton kilonewtons",
-    "mN": "millinewton millinewtons",
-    "force_gram": "gf gr gram grams gram-force grams-force gram_force",
-    "force_kilogram": "kg kgf kgs kp kilogram kilograms kilogram-force kilopond",
+    "newton": "newton newtons 牛 牛顿 ニュートン",
+    "kN": "kn kilonewton kilonewtons 千牛",
+    "mN": "millinewton millinewtons 毫牛",
+    "uN": "micronewton micronewtons 微牛",
+    "force_gram": "gf gr gram grams gram-force grams-force gram_force 克 克力",
+    "force_kilogram": "kg kgf kgs kp kilogram kilograms kilogram-force kilopond 公斤 公斤力 千克 千克力"
+    " кг кгс",
     "force_pound": "lb lbs lbf pound pounds pound-force pounds-force",
     "force_ounce": "oz ozf ounce ounces ounce-force",
 }

@@ -98,10 +98,63 @@ def test_a_counter_that_leaves_samples_out_is_the_clock(tmp_path: Path) -> None:
     assert {"time_counted", "column_choice", "gap"} <= set(codes(trial))
 
 
-def test_names_stand_behind_the_row_numbers_of_r(tmp_path: Path) -> None:
+@pytest.mark.parametrize("names", ["time_s\tdisp_mm\tforce_N", "X\tt_s\tx_mm\tF_N"])
+def test_names_stand_behind_the_row_numbers_of_r(tmp_path: Path, names: str) -> None:
     lines = "".join(f"{k + 1}\t{0.1 * k:.1f}\t{0.02 * k:.2f}\t{0.5 * k:.1f}\n" for k in range(40))
-    trial = read(put(tmp_path / "a.txt", f"time_s\tdisp_mm\tforce_N\n{lines}"))
+    trial = read(put(tmp_path / "a.txt", f"{names}\n{lines}"))
+    assert trial.flags == ()
     assert (trial.time_s[2], trial.displacement_mm[2], trial.force_N[2]) == pytest.approx((0.2, 0.04, 1.0))
+
+
+def test_a_name_that_matlab_numbers_is_another_column_of_that_name(tmp_path: Path) -> None:
+    lines = "".join(f"{0.1 * k:.1f},{0.5 * k:.1f},{0.02 * k:.2f},{k}.5\n" for k in range(40))
+    trial = read(put(tmp_path / "a.csv", f"Time_s_,Force_N_,Displacement_mm_,Force_N__1\n{lines}"))
+    assert (trial.source.columns["force"], codes(trial)) == ("Force_N_", ["column_choice"])
+
+
+def test_a_first_column_x_that_is_the_only_travel_is_no_row_number(tmp_path: Path) -> None:
+    lines = "".join(f"{k + 1},{0.1 * k:.1f},{0.5 * k:.1f}\n" for k in range(40))
+    assert read(put(tmp_path / "a.csv", f"X,t,F\n{lines}")).displacement_mm[2] == 3.0
+
+
+@pytest.mark.parametrize(
+    ("start", "clock"),
+    [
+        (55.0, lambda t: f"{t:.2f}" if t < 60 else f"{int(t // 60)}:{t % 60:05.2f}"),
+        (
+            3595.0,
+            lambda t: (f"{t // 3600:.0f}:" if t >= 3600 else "") + f"{t % 3600 // 60:02.0f}:{t % 60:05.2f}",
+        ),
+        (0.0, lambda t: f"00:00:{int(t):02d}" + (f".{100 * t % 100:02.0f}" if t > 8 else "")),
+    ],
+)
+def test_a_clock_that_changes_its_form_far_below_the_head_goes_on(tmp_path: Path, start, clock) -> None:
+    """The form changes behind the 400th row; of the last, whole seconds are printed before."""
+    time = start + np.concatenate([0.02 * np.arange(400), 8.5 + 0.25 * np.arange(40)])
+    lines = "".join(f"{clock(t)},{0.02 * k:.2f},{0.5 * k:.1f}\n" for k, t in enumerate(np.round(time, 9)))
+    trial = read(put(tmp_path / "a.csv", f"Time,{NAMES}{lines}"))
+    np.testing.assert_allclose(trial.time_s[400:], time[400:], atol=0.0051)
+    assert trial.time_s.size == 440
+    seconds = "".join(f"{0.1 * k:.2f},{0.02 * k:.2f},{0.5 * k:.1f}\n" for k in range(400))
+    noon = put(
+        tmp_path / "b.csv", f"Time,{NAMES}{seconds}" + "".join(f"12:01:{k}.00,8,9\n" for k in range(10, 40))
+    )
+    assert refusal(noon).code == "text_in_numbers"
+
+
+@pytest.mark.parametrize("delimiter", [",", "  "])
+def test_exponents_of_fortran_are_read(tmp_path: Path, delimiter: str) -> None:
+    rows = ([0.1 * k, 0.02 * k, -0.5 * k] for k in range(40))
+    lines = "".join(delimiter.join(f"{v:.4E}" for v in row).replace("E", "D") + "\n" for row in rows)
+    trial = read(put(tmp_path / "a.dat", delimiter.join(("time_s", "disp_mm", "force_N")) + f"\n{lines}"))
+    assert (trial.displacement_mm[2], trial.force_N[2]) == pytest.approx((0.04, -1.0))
+
+
+@pytest.mark.parametrize("count", [1, 3000, 200_000])
+def test_a_file_that_its_logger_had_filled_ahead_is_read_and_said(tmp_path: Path, count: int) -> None:
+    table = f"Time (s),{NAMES}" + "".join(f"{0.1 * k:.1f},{0.02 * k:.2f},{0.5 * k:.1f}\n" for k in range(40))
+    trial = read(put(tmp_path / "a.csv", table.encode() + bytes(count)))
+    assert (trial.time_s.size, codes(trial)) == (40, ["cut_row"])
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,28 @@ from tissueid.units import INTERNAL_UNITS, KNOWN_UNITS, KNOWN_WORDS, REPEATS, fa
         ("t1 (s),x1 (mm),F1 (N)", (1, 1)),
         ("Time [s],CH2: Stroke [mm],CH1: Load [N]", (1, 1)),
         ("Time (s),Displacement [um] (LVDT),Force [mN] (cell 2)", (1e-3, 1e-3)),
+        ("Time_s_,LVDT_um_,Load_kN_", (1e-3, 1e3)),
+        ("t in s,s in um,F in kN", (1e-3, 1e3)),
+        ("t in [s],s in [um],F [in kN]", (1e-3, 1e3)),
+        ("Zeit in Sekunden,Stempelweg in Millimeter,Axialkraft in Newton", (1, 1)),
+        ("t_s [s],x_mm [mm],F_N [kN]", (1, 1e3)),
+        ("time [s],delta [um],P [kN]", (1e-3, 1e3)),
+        ("Time|s,Disp|um,Force|kN", (1e-3, 1e3)),
+        ("Time (s)*,Ext. (mm)*,Load (kN)**", (1, 1e3)),
+        ("s,um,kN", (1e-3, 1e3)),
+        ("(s),(um),(kN)", (1e-3, 1e3)),
+        ("Tempo (secondi),Penetrazione (millimetri),Forza (newton)", (1, 1)),
+        ("Tiempo (segundos),Indentación (milímetros),Fuerza (newtons)", (1, 1)),
+        ("时间(秒),深度(微米),法向力(千克力)", (1e-3, 9.80665)),
+        ("時刻(s),押込み量(ミリ),荷重値(ニュートン)", (1, 1)),
+        ("Время (с),Деформация (мкм),Нагрузка (кгс)", (1e-3, 9.80665)),
+        ("Время с,Глубина мм,Усилие кН", (1, 1e3)),
+        ("Час (с),Переміщення (мм),Зусилля (мН)", (1, 1e-3)),
+        ("Χρόνος (s),Μετατόπιση (mm),Δύναμη (N)", (1, 1)),
+        ("Aika (s),Siirtymä (mm),Voima (N)", (1, 1)),
+        ("Idő (s),Elmozdulás (mm),Erő (N)", (1, 1)),
+        ("Tid (s),Vandring (mm),Kraft (N)", (1, 1)),
+        ("Čas (s),Dráha (mm),Síla (N)", (1, 1)),
     ],
 )
 def test_names_with_glued_units_of_french_crossheads_eight_more_languages_and_loggers_are_read(
@@ -88,6 +110,7 @@ def test_names_with_glued_units_of_french_crossheads_eight_more_languages_and_lo
         ("cp949", "시간(s);변위(mm);하중(N)"),
         ("cp1250", "Čas (s);Posunutí (mm);Síla (N)"),
         ("cp1254", "Zaman (s);Yer değiştirme (mm);Kuvvet (N)"),
+        ("big5", "時間(秒);位移(mm);荷重(N)"),
     ],
 )
 def test_their_code_pages_are_told_by_their_words(tmp_path: Path, codec: str, head: str) -> None:
@@ -109,8 +132,9 @@ def test_an_indenters_export_of_micrometres_and_micronewtons_is_read(tmp_path: P
     assert trial.force_N[2] == pytest.approx(1.5005e-3)
 
 
-def test_letters_are_taken_where_only_one_can_be_meant_and_said(tmp_path: Path) -> None:
-    trial = read(written(tmp_path / "a.csv", "t,x,F"))
+@pytest.mark.parametrize("head", ["t,x,F", "t,delta,P", "t,h,P"])
+def test_letters_are_taken_where_only_one_can_be_meant_and_said(tmp_path: Path, head: str) -> None:
+    trial = read(written(tmp_path / "a.csv", head))
     assert codes(trial) == ["units_assumed"] * 3
     assert "--axes displacement=strain" in trial.flags[1].message
     assert "--axes force=stress" in trial.flags[2].message
@@ -140,6 +164,11 @@ def timed(times: Iterable[object], travel: float = 0.05) -> str:
         "Time (s),Pd,Force (N)",
         "t,x,F,u",
         "T,x,F",  # a capital T is a temperature
+        "t,x,P",  # of a gas, but beside a depth
+        "t,h,P,T",
+        "s,m,N",
+        "h,mm,N",
+        "Time (s),x_mm [um],F [N]",
         "Time (s),Extension (mm),Stress",
         "Time (s),Strain rate (%/s),Force (N)",
         "Time (s),Force X (N),Force Y (N),Displacement (mm)",
@@ -544,10 +573,11 @@ def test_names_that_go_on_in_another_line_are_read_and_lines_keep_their_numbers(
     assert spoilt.read_text(encoding="utf-8").splitlines()[refusal(spoilt).line - 1].endswith("1.5.0")
 
 
-@pytest.mark.parametrize("unit", ["G", "MN", "Mn", "NM"])
+@pytest.mark.parametrize("unit", ["G", "MN", "Mn", "NM", "МН", "Гс", "С"])
 def test_capitals_that_may_mean_another_unit_are_not_guessed(unit: str) -> None:
     with contextlib.suppress(ValueError):
         assert factor_to(unit, "force") not in {9.80665e-3, 1e-3}
+    assert quantity_of(unit) != "time"  # a Cyrillic С may be a temperature
 
 
 @pytest.mark.parametrize("row", ["sek.,mm,Pond", "Sekunde,Milimeter,Newt"])

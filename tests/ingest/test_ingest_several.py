@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from ingest_files import codes, put, refusal
+from ingest_files import codes, put, refusal, workbook, zipped
 
 from tissueid.errors import InputError
 from tissueid.ingest import ReadOptions, read_each, read_one, read_trials
@@ -64,6 +64,54 @@ def test_each_head_has_its_own_units(tmp_path: Path) -> None:
     names = "Time (s),Extension (mm),Load\n"
     text = f"Load unit: N\n{names}{rows}\nLoad unit: mN\n{names}{rows}"
     assert [trial.force_N[2] for trial in read_trials(put(tmp_path / "b.csv", text))] == [1.5, 1.5e-3]
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "B\nTime (s),Extension (um),Load (mN)\n",
+        "\nTime,Extension,Load\ns,um,mN\n",
+        "Units,s,um,mN\nTime,Extension,Load\n",
+    ],
+)
+def test_a_head_in_other_units_begins_another_recording(tmp_path: Path, head: str) -> None:
+    text = "A\n" + HEAD + "".join(lines(30, 1.0)) + head + "".join(lines(30, 1.0))
+    first, second = read_trials(put(tmp_path / "a.csv", text))
+    assert (first.displacement_mm[2], first.force_N[2]) == (0.1, 1.5)
+    assert (second.displacement_mm[2], second.force_N[2]) == pytest.approx((1e-4, 1.5e-3))
+    later = "".join(lines(30, 8.5, start=3.0))
+    assert refusal(put(tmp_path / "b.csv", text.rsplit("0.0,", 1)[0] + later)).code == "ragged_rows"
+
+
+def test_a_head_of_exchanged_columns_begins_another_recording(tmp_path: Path) -> None:
+    text = HEAD + "".join(lines(30, 1.0)) + "Time (s),Load (N),Extension (mm)\n" + "".join(lines(30, 1.0))
+    assert read_trials(put(tmp_path / "a.csv", text))[1].displacement_mm[2] == 1.5
+
+
+def test_a_segment_of_labview_whose_time_starts_again_is_a_recording(tmp_path: Path) -> None:
+    def segment_in(units: str, start: float) -> str:
+        head = f"Channels\t2\t\t\nTime\t10:11:12\t10:11:12\t\nY_Unit_Label\t{units}\t\n***End_of_Header***\n"
+        return head + "X_Value\tZ\tLoad\tComment\n" + "".join(lines(30, 1.0, start=start)).replace(",", "\t")
+
+    top = "LabVIEW Measurement\t\n***End_of_Header***\n\n"
+    text = top + segment_in("mm\tN", 0.0) + segment_in("mm\tN", 3.0) + segment_in("um\tmN", 0.0)
+    first, second = read_trials(put(tmp_path / "a.lvm", text))
+    assert (first.time_s.size, second.time_s.size) == (60, 30)
+    assert second.force_N[2] == pytest.approx(1.5e-3)
+
+
+@pytest.mark.parametrize("between", [[["B"]], [["B", None, None], ["s", "um", "mN"]], [[], [None]]])
+def test_recordings_below_each_other_in_a_sheet_are_read(tmp_path: Path, between) -> None:
+    names = ["Time", "Extension", "Load"]
+    rows = [[float(cell) for cell in line.split(",")] for line in lines(30, 1.0)]
+    path = workbook(tmp_path / "a.xlsx", {"S": [names, *rows, *between, names, *rows]})
+    first, second = read_trials(path)
+    assert [first.source.sheet, second.source.sheet] == ["S::1", "S::2"]
+    scale = 1e-3 if len(between[-1]) > 1 else 1.0
+    assert (first.force_N[2], second.force_N[2]) == pytest.approx((1.5, 1.5 * scale))
+    rows[3][2] = "x"
+    broken = workbook(tmp_path / "b.xlsx", {"S": [names, *rows[4:], *between, names, *rows]})
+    assert [error.line for error in read_each(broken) if isinstance(error, InputError)] == [32 + len(between)]
 
 
 @pytest.mark.parametrize(("second", "specimens"), [("A", ["A"]), ("B", ["A", "B"])])
@@ -356,11 +404,22 @@ def test_tables_of_rarer_suffixes_are_found_in_a_folder(tmp_path: Path) -> None:
     [
         (b"MATLAB 5.0 MAT-file", "a MATLAB file"),
         (b"TDSm\x0e\0\0\0", "a LabVIEW TDMS"),
-        (b"\x93NUMPY\1", "NumPy"),
+        (b"\x93NUMPY\1", "numpy.load(FILE)"),
+        (b"PAR1\x15", "pandas.read_parquet(FILE)"),
+        (b"ARROW1\0\0", "pandas.read_feather(FILE)"),
+        (b"\x80\4\x95", "pandas.read_pickle(FILE)"),
     ],
 )
 def test_files_of_programs_are_refused_by_what_they_are(tmp_path: Path, data: bytes, kind: str) -> None:
     (tmp_path / "a.mat").write_bytes(data + bytes(200))
     error = refused(tmp_path / "a.mat", "not_an_export")
     assert kind in str(error)
-    assert str(error).endswith("or save its columns as CSV")
+    assert "or save its columns as CSV" in str(error)
+
+
+def test_an_archive_of_arrays_and_formulas_without_values_say_how_they_are_saved(tmp_path: Path) -> None:
+    arrays = put(tmp_path / "a.npz", zipped({"t.npy": b"\x93NUMPY", "x.npy": b"\x93NUMPY"}))
+    assert "numpy.load(FILE)" in refused(arrays, "not_an_export").message
+    rows = [["Time (s)", "Extension (mm)", "Load (N)"], *([k, k, f"={k}*2"] for k in range(9))]
+    error = refused(workbook(tmp_path / "a.xlsx", {"S": rows}), "empty_cell")
+    assert "if formulas stand there, open the workbook" in error.message

@@ -287,14 +287,21 @@ def test_a_time_named_by_its_unit_has_it(tmp_path: Path, name: str, per_s: float
     assert trial.time_s == pytest.approx(TIME, abs=1e-9)
 
 
-@pytest.mark.parametrize("first", [0, 5])
-def test_numbers_that_a_sheet_stores_as_text_are_refused_by_their_cell(tmp_path: Path, first: int) -> None:
+@pytest.mark.parametrize(("first", "mark"), [(5, "."), (5, ","), (0, "."), (0, ",")])
+def test_numbers_that_a_sheet_stores_as_text_are_read_where_all_are(
+    tmp_path: Path, first: int, mark: str
+) -> None:
+    """Where some are numbers, the spreadsheet took them for such, and may have lost their marks."""
     rows: list[list[object]] = [["Time (s)", "Extension (mm)", "Load (N)"]]
     for k, one in enumerate(zip(TIME.tolist(), DEPTH.tolist(), FORCE.tolist(), strict=True)):
         as_text = k == first or first == 0
-        rows.append([f"{v:.4f}" for v in one] if as_text else [*one])
+        rows.append([f"{v:.4f}".replace(".", mark) for v in one] if as_text else [*one])
+    path = workbook(tmp_path / "a.xlsx", {"S": rows})
+    if first == 0:
+        assert read_trials(path)[0].force_N == pytest.approx(FORCE, abs=5.1e-5)  # of four decimals
+        return
     with pytest.raises(InputError, match="stored as text") as caught:
-        read_trials(workbook(tmp_path / "a.xlsx", {"S": rows}))
+        read_trials(path)
     assert (caught.value.code, caught.value.line) == ("text_in_numbers", first + 2)
 
 

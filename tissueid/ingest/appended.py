@@ -12,10 +12,11 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
+from tissueid.ingest.columns import channel_columns
 from tissueid.ingest.header import header_entries, specimen_in
 from tissueid.ingest.header_units import stated_units
 from tissueid.ingest.labelled import FEWEST_ROWS
-from tissueid.ingest.layout import Layout, is_units_row, split_line
+from tissueid.ingest.layout import Anchor, Layout, is_units_row, split_line, units_above
 from tissueid.ingest.numbers import CellFault, Row, parse_number
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
@@ -42,12 +43,13 @@ class Part(NamedTuple):
 
 
 class _Cut(NamedTuple):
-    """The bytes of the rows of one recording, its name, the lines above it, and its row of units."""
+    """The bytes of the rows of one recording, its name, the lines above it, and its names and units."""
 
     start: int
     stop: int
     name: str
     header: tuple[Row, ...]
+    names: Row
     units: Row
 
 
@@ -71,7 +73,7 @@ def recordings(
     line, counted = layout.first_line, layout.offset
     for count, cut in enumerate(cuts, 1):
         line, counted = line + text.data.count(b"\n", counted, cut.start), cut.start
-        own = replace(layout, offset=0, first_line=line, units=cut.units)
+        own = replace(layout, offset=0, first_line=line, names=cut.names, units=cut.units)
         name = f"{count}: {cut.name}" if cut.name else str(count)
         parts.append(Part(name, cut.header, replace(text, data=text.data[cut.start : cut.stop]), own))
     return parts
@@ -122,7 +124,8 @@ def _by_label(
         return []
     stops = [*(start for start, _ in starts[1:]), len(text.data)]
     return [
-        _Cut(start, stop, name, (), layout.units) for (start, name), stop in zip(starts, stops, strict=True)
+        _Cut(start, stop, name, (), layout.names, layout.units)
+        for (start, name), stop in zip(starts, stops, strict=True)
     ]
 
 
@@ -131,11 +134,19 @@ def _by_head(text: Text, layout: Layout, time: int, options: ReadOptions) -> Ite
     if layout.names_line is None:
         return
     data = text.data
-    names = data[: layout.offset].splitlines()[layout.names_line - 1].strip()
+    printed = data[: layout.offset].splitlines()[layout.names_line - 1].strip()
+    # a head may differ in its units, or in the order of its columns behind the first
+    opening = re.match(rb"\W*\w+", printed)
+    begins = opening[0] if opening else printed
     start, name, header, units = layout.offset, _title(layout.header), layout.header, layout.units
-    at = layout.offset
-    while (at := data.find(b"\n" + names, at) + 1) > 0:
-        above, below = max(start, at - _NEAR_BYTES), at + len(names)
+    at, names = layout.offset, layout.names
+    while (at := data.find(b"\n" + begins, at) + 1) > 0:
+        below = data.find(b"\n", at) % (len(data) + 1)
+        same, cells = data.startswith(printed, at), split_line(text.decode(data[at:below]), layout.delimiter)
+        heads = layout.names if same else _names(cells, layout, time, options)
+        if heads is None:
+            continue
+        above = max(start, at - _NEAR_BYTES)
         lines = data[above:at].splitlines(keepends=True)
         ended = _first(text, layout, time, lines[::-1])
         begun = _first(text, layout, time, data[below : below + _NEAR_BYTES].splitlines(keepends=True))
@@ -146,14 +157,22 @@ def _by_head(text: Text, layout: Layout, time: int, options: ReadOptions) -> Ite
         own = _rows(text, layout, data[stop:head])
         specimen = specimen_in(header_entries(own))
         if begun[1] < ended[1] or specimen not in (None, specimen_in(header_entries(header))):
-            yield _Cut(start, stop, name, header, units)
-            start, header, name = below + begun[0], own, _title(own)
+            yield _Cut(start, stop, name, header, names, units)
+            start, header, name, names = below + begun[0], own, _title(own), heads
             # the same machine may have been set to other units
             under = _rows(text, layout, data[below:start])
-            stated = next(filter(is_units_row, under), ())
-            stated = stated or stated_units(own, layout.names, options) or layout.units
+            over = Anchor(len(own), units_above((*own, cells), len(own), options), 0)
+            stated = next(filter(is_units_row, under), ()) or over.head((*own, cells))[1]
+            stated = stated or stated_units(own, names, options) or layout.units
             units = (*stated, *[""] * layout.n_columns)[: layout.n_columns]
-    yield _Cut(start, len(data), name, header, units)
+    yield _Cut(start, len(data), name, header, names, units)
+
+
+def _names(cells: Row, layout: Layout, time: int, options: ReadOptions) -> Row | None:
+    """Names in other units or another order over the columns of this table; None where cells are no names."""
+    names = (*cells, *[""] * layout.n_columns)[: layout.n_columns]
+    found = channel_columns(names, options) if not any(cells[layout.n_columns :]) else {}
+    return names if found.get("time") == time else None
 
 
 def _rows(text: Text, layout: Layout, data: bytes) -> tuple[Row, ...]:
@@ -176,4 +195,6 @@ def _first(text: Text, layout: Layout, time: int, lines: Sequence[bytes]) -> tup
 def _title(header: Sequence[Row]) -> str:
     """Name of a recording in the lines above it: its specimen, or a last line of one cell."""
     last = [cell.strip() for cell in header[-1] if cell.strip()] if header else []
-    return specimen_in(header_entries(header)) or (last[0].rstrip(":") if len(last) == 1 else "")
+    return specimen_in(header_entries(header)) or (
+        last[0].rstrip(":") if len(last) == 1 and last[0][0] != "*" else ""
+    )

@@ -16,6 +16,7 @@ from tissueid.errors import InputError
 from tissueid.ingest.header import protocol_of
 from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Match, Recipe, Table, lay_out, packed_kind
 from tissueid.ingest.refusals import Place, moved
+from tissueid.ingest.text import ARRAYS, refuse_foreign
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, LARGEST_RATIO, RATIO_FROM_BYTES, UNPACKED_BYTES
 
 #: Largest sum of all members, unpacked [bytes].
@@ -80,6 +81,8 @@ def _read(file: InputFile, match: Callable[[InputFile], Match]) -> Iterator[Tabl
                 count += 1
                 yield item
     if count == 0:
+        if archive.namelist() and all(name.endswith(".npy") for name in archive.namelist()):
+            refuse_foreign(ARRAYS, place)
         names = ", ".join(map(repr, archive.namelist()[:10])) or "none"
         place.refuse("no_recording", f"the archive holds no recording; its files are {names}")
 

@@ -24,12 +24,19 @@ from tissueid.units import INTERNAL_UNITS, OTHER_BRACKETS, Quantity, bare_unit, 
 
 Channels = tuple[FloatArray, FloatArray, FloatArray]
 
-_BRACKETED = re.compile(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*", re.DOTALL)
-_AFTER_COMMA = re.compile(r"(.*\S)\s*[,/]\s*(\S+)\s*", re.DOTALL)
-_AFTER_GLUE = re.compile(r"(.*[^\s_-])\s?[_-]\s?([^\s_-]+)", re.DOTALL)
-_AFTER_SPACE = re.compile(r"(.*\S)\s+(mm|cm|[uµμn]m|[kmuµμ]?N|kgf|gf|lbf|s|sec|ms|msec)")
+_BRACKETED = re.compile(
+    r"(.*?)(?:\s+(?:in|en|em))?\s*[(\[]\s*(?:in\s+(?![)\]\s]))?([^()\[\]]*?)\s*[)\]]\s*", re.DOTALL
+)
+_AFTER_IN = re.compile(r"(.*[^\s_.])[\s_.]+(?:in|en|em|w|i|в)[\s_.]+([^\s_.]+)")
+_AFTER_COMMA = re.compile(r"(.*\S)\s*[,/;|\\]\s*(\S+)\s*", re.DOTALL)
+#: MATLAB writes ``Time (s)`` as ``Time_s_``, and a second one as ``Time_s__1``.
+_AFTER_GLUE = re.compile(r"(.*[^\s_-])\s?(?:_{1,2}|-)\s?([^\s_\d-][^\s_-]*)(?:_(?:_\d+)?)?", re.DOTALL)
+_AFTER_SPACE = re.compile(
+    r"(.*\S)\s+(mm|cm|[uµμn]m|[kmuµμ]?N|kgf|gf|lbf|s|sec|ms|msec|мм|мкм|[км]?Н|к?гс|м?с|сек)"
+)
 _AFTER_DOT = re.compile(r"([^.].*[^.])\.{1,2}([^.\d]+)\.?")
-_NUMBERED = re.compile(r"([)\]])\.\d+$")
+#: A number of a name that repeats, or a mark of a remark.
+_NUMBERED = re.compile(r"(?<=[)\]])(?:[._]\d+|\*+)$")
 #: Units that may end a name without brackets: ``Fz, gf``, ``stress_kPa``, ``Stress-kPa``, ``Load N``.
 _SPLIT_UNITS = (*CHANNELS, "stress", "strain")
 #: What is most likely meant by small letters: the millinewton, and no meganewton.
@@ -40,6 +47,8 @@ _LONGEST_NAME = 250
 _NAMED_BY_UNIT = re.compile(
     r"seconds?|secs?|ms|msecs?|millis(?:econds?)?|us|usecs?|micros(?:econds?)?|mins|minutes?", re.IGNORECASE
 )
+#: Letters of the depth of an indentation.
+_DEPTHS = frozenset({"h", "δ", "delta"})
 #: A form of clock times, which are read as seconds: ``hh:mm:ss.fff``.
 _CLOCK_FORM = re.compile(r"(?:h+:)?m+:s+(?:[.,:][f0sz#]+)?", re.IGNORECASE)
 #: A word or sign that may be a unit, or a part of one: ``10^-3 N``, ``″``.
@@ -189,8 +198,7 @@ def split_name(name: str) -> tuple[str, str | None]:
     """A printed name without its unit, and the unit: ``"Force (kN)"``, ``"Fz, gf"``, ``"time_s"``."""
     if len(name) > _LONGEST_NAME:
         return name, None
-    # pandas numbers names that repeat, and R has dots for what is no letter
-    name = _NUMBERED.sub(r"\1", name.translate(OTHER_BRACKETS))
+    name = _NUMBERED.sub("", name.translate(OTHER_BRACKETS))
     if match := _BRACKETED.fullmatch(name):
         inside = match[2]
         if match[1] and _CLOCK_FORM.fullmatch(inside):
@@ -200,11 +208,12 @@ def split_name(name: str) -> tuple[str, str | None]:
             if quantity_of(unit or "") in _SPLIT_UNITS:
                 return before, unit
         if match[1] and inside and (quantity_of(inside) is not None or _UNIT_LIKE.fullmatch(inside)):
-            return match[1], inside
+            before, unit = split_name(match[1])  # it may say so twice: "x_mm [mm]"
+            return before if unit == inside else match[1], inside
         return ("time", inside) if not match[1] and quantity_of(inside) == "time" else (name, None)
     if _NAMED_BY_UNIT.fullmatch(name):
         return name, name
-    for pattern in (_AFTER_COMMA, _AFTER_GLUE, _AFTER_SPACE, _AFTER_DOT):
+    for pattern in (_AFTER_IN, _AFTER_COMMA, _AFTER_GLUE, _AFTER_SPACE, _AFTER_DOT):
         if (match := pattern.fullmatch(name)) and quantity_of(match[2]) in _SPLIT_UNITS:
             return match[1], match[2]
     if (match := _AFTER_GLUE.fullmatch(name)) and (match[2] == "n" or _GLUED_UNIT.fullmatch(match[2])):
@@ -222,12 +231,12 @@ class _Head:
     @classmethod
     def of(cls, names: Sequence[str], units: Sequence[str], options: ReadOptions) -> _Head:
         """The head of these names; a strain or stress is declared where one is there and no other channel."""
-        columns = []
+        columns: list[_Column] = []
         for index, name in enumerate(names):
             base, inside = split_name(name.strip())
             row_unit = bare_unit(units[index]) if index < len(units) else ""
             columns.append(_Column(index, name.strip(), base, tuple(u for u in (row_unit, inside) if u)))
-        head = cls(columns, options)
+        head = cls(_named_by_units(columns), options)
         axes = dict(options.axes)
         for channel, (_, axis) in AXES.items():
             if channel in options.columns or channel in options.units or channel in axes:
@@ -236,7 +245,7 @@ class _Head:
                 _is_normalised(column, cast("Quantity", axis)) for column in columns
             ):
                 axes[channel] = axis
-        return head if axes == dict(options.axes) else cls(columns, replace(options, axes=axes))
+        return head if axes == dict(options.axes) else cls(head.columns, replace(options, axes=axes))
 
     def rank(self, column: _Column, channel: Channel, *, loose: bool) -> int | None:
         """Rank among a channel's names; a declared strain or stress is sought under its own name first."""
@@ -265,6 +274,11 @@ class _Head:
         # a clock or a stamp has no unit; the time of a test has
         united = channel == "time" and any(column.unit for _, column in found)
         found.sort(key=lambda item: (united and not item[1].unit, item[0], item[1].index))
+        # a P is a load beside the depth of an indentation, and a pressure elsewhere
+        usual = [one for one in found if one[1].base != "delta" and (one[1].unit or one[1].base not in "Pδ")]
+        bases = {column.base for column in self.columns}
+        indented = bases & _DEPTHS and "T" not in bases
+        found = usual or [one for one in found if indented or one[1].base != "P"]
         # of two letters, or two sideways axes, either may be meant
         doubtful = [rank in {SYMBOL_RANK, SIDEWAYS_RANK} for rank, _ in found]
         return [] if sum(doubtful) > 1 and doubtful[0] else found
@@ -291,6 +305,19 @@ class _Head:
             return f"the {len(self.columns)} columns have no names"
         shown = ", ".join(repr(name[:40]) for name in names[:20])
         return f"the columns are {shown}{' ...' if len(names) > 20 else ''}"
+
+
+def _named_by_units(columns: list[_Column]) -> list[_Column]:
+    """Columns of a head that is nothing but a unit of each channel, named by these; others as they are."""
+    if len(columns) != len(CHANNELS) or any(rank_of(one.base, "force", loose=False) == 0 for one in columns):
+        return columns
+    units = [column.name or column.unit or "" for column in columns]
+    quantities = [quantity_of(unit) for unit in units]
+    # letters may be names: m, s and N, or a depth h
+    if set(quantities) != {*CHANNELS} or {"h", "m"} & {*units}:
+        return columns
+    named = zip(columns, quantities, units, strict=True)
+    return [replace(column, base=str(quantity), units=(unit,)) for column, quantity, unit in named]
 
 
 def _is_normalised(column: _Column, axis: Quantity) -> bool:

@@ -156,13 +156,15 @@ def _rises(text: Text, layout: Layout, options: ReadOptions) -> bool:
 
 
 def _behind_row_names(text: Text, layout: Layout, options: ReadOptions) -> Layout:
-    """The layout with its names shifted, where a first column without one counts the rows, as R writes it."""
+    """The layout with names as R writes them, shifted or behind an X, where the first column counts rows."""
     names = layout.names
     shifted = len(names) == layout.n_columns > 1 and all(names[:-1]) and not names[-1]
+    own = ("", *names[:-1]) if shifted else ("", *names[1:])
+    counted = names[0] == "X" not in options.columns.values() and has_channels(own, layout.units, options)
     bare = replace(layout, names=("",) * layout.n_columns, units=())
-    if not shifted or layout.units_in_row or (0, True) not in _rising(text, bare, options):
+    if not (shifted or counted) or layout.units_in_row or (0, True) not in _rising(text, bare, options):
         return layout
-    return replace(layout, names=("", *names[:-1]))
+    return replace(layout, names=own)
 
 
 def _refuse_unnamed(layout: Layout, printed: int, place: Place) -> None:

@@ -309,7 +309,7 @@ def anchor(rows: Sequence[Row], options: ReadOptions) -> Anchor | None:
     found = _anchor_without_words(rows, first, _filled_above(rows, first))
     if found.names is None or found.units is not None:
         return found
-    return replace(found, units=_units_above(rows, found.names, options))
+    return replace(found, units=units_above(rows, found.names, options))
 
 
 def _filled_above(rows: Sequence[Row], first: int) -> list[int]:
@@ -331,7 +331,7 @@ def _named_anchor(rows: Sequence[Row], first: int, options: ReadOptions) -> Anch
             units = below[0]
         if has_channels(rows[index], rows[units] if units is not None else (), options):
             after = (units if units is not None else index) + 1
-            above = _units_above(rows, index, options) if units is None else None
+            above = units_above(rows, index, options) if units is None else None
             return Anchor(index, units if above is None else above, after)
     return None
 
@@ -349,7 +349,7 @@ def _stands_as_units(rows: Sequence[Row], names: int, at: int, options: ReadOpti
     )
 
 
-def _units_above(rows: Sequence[Row], names: int, options: ReadOptions) -> int | None:
+def units_above(rows: Sequence[Row], names: int, options: ReadOptions) -> int | None:
     """A row of units right above the names, or one of the header that says so by its first cell."""
     columns = channel_columns(rows[names], options)
     for index in _filled_above(rows, names) if columns else ():

@@ -51,6 +51,8 @@ _REMARK_LINE = re.compile(rb"^(?:#|%|//)[^\n]* [^\n]*", re.MULTILINE)
 #: What a serial monitor writes before every line.
 _MONITORED = re.compile(rb"^(\d{1,2}:\d{2}:\d{2}(?:\.\d{1,6})?) -> (?=[^\n]*([,;\t ]))?", re.MULTILINE)
 _NO_CELLS = bytes.maketrans(b' "', b"__")
+#: Last rows that show how a clock is printed.
+_TAIL_BYTES = 1 << 12
 DAY_S, HALF_DAY_S = 86_400.0, 43_200.0
 
 
@@ -96,16 +98,14 @@ def _named(line: bytes, columns: int) -> bytes:
 
 def with_seconds(data: bytes) -> bytes:
     """The text with seconds in the place of clock times in its rows; as it is where rows have none."""
-    lines = _head(data)
-    first = _first_row(lines)
-    if first is None:
+    offset, lines = _clocked_rows(data)
+    if not lines:
         return data
-    offset = sum(len(line) + 1 for line in lines[:first])
-    clock = _clock_in(lines[first])
-    other = clock.sub(b"", lines[first])
+    clock = _clock_in(lines[0])
+    other = clock.sub(b"", lines[0])
     mark = b"," if _OTHER_DELIMITERS.search(other) and _DECIMAL_COMMA.search(other) else b"."
     # whole seconds may be printed without the fraction that the others have
-    usual = max((len(found[3]) - 1 for line in lines[first:] for found in clock.findall(line)), default=0)
+    usual = max((len(found[3]) - 1 for line in lines for found in clock.findall(line)), default=0)
     days, last = 0.0, 0.0
 
     def seconds(match: re.Match[bytes]) -> bytes:
@@ -121,6 +121,23 @@ def with_seconds(data: bytes) -> bytes:
         return f"{days + value:.{digits}f}".encode().replace(b".", mark)
 
     return data[:offset] + clock.sub(seconds, data[offset:])
+
+
+def _clocked_rows(data: bytes) -> tuple[int, list[bytes]]:
+    """Byte at which rows with clock times begin, and the first and last of them; no lines where none do.
+
+    Minutes may be printed once there are some: 59.9, 1:00.1.
+    """
+    lines = _head(data)
+    first = _first_row(lines)
+    offset = sum(len(line) + 1 for line in lines[:first])
+    tail = data[max(offset, len(data) - _TAIL_BYTES) :]
+    if first is None and b":" in tail and (late := _CELL_CLOCK.search(data, offset)) is not None:
+        offset = data.rfind(b"\n", 0, late.start() + 1) + 1
+        lines = data[offset : offset + HEAD_BYTES].split(b"\n")
+        grown = 60 * int(late[1] or 0) + int(late[2]) in (1, 60)  # and no time of the day
+        first = 0 if grown and _first_row(lines) == 0 else None
+    return offset, [] if first is None else [*lines[first:], *tail.split(b"\n")]
 
 
 def _clock_in(line: bytes) -> re.Pattern[bytes]:
@@ -145,7 +162,7 @@ def _is_clocked(line: bytes) -> bool:
 _PIECE_BYTES = 1 << 20
 _CODE_PAGES = ("latin-1", "cp1252", "cp1250", "gbk", "cp932")
 #: Code pages that known words alone speak for.
-_BY_WORDS = ("cp1251", "cp949", "cp1254")
+_BY_WORDS = ("cp1251", "cp949", "cp1254", "big5")
 _MAGIC = (
     (b"\x89PNG", "a PNG image"),
     (b"\xff\xd8\xff", "a JPEG image"),
@@ -158,11 +175,28 @@ _MAGIC = (
     (b"MATLAB ", "a MATLAB file"),
     (b"TDSm", "a LabVIEW TDMS file"),
     (b"\x93NUMPY", "an array of NumPy"),
+    (b"PAR1\x15", "a Parquet file"),
+    (b"ARROW1\0\0", "a Feather file"),
+    (b"\x80\4\x95", "a pickle of Python"),
+    (b"\x80\5\x95", "a pickle of Python"),
     (b"\x7fELF", "a program"),
     (b"MZ", "a program"),
     (b"PK\x03\x04", "a zip archive or workbook"),
     (b"\xd0\xcf\x11\xe0", "a workbook or another compound document"),
 )
+ARRAYS = "an archive of NumPy arrays"
+#: Call by which a kind of file is written as CSV.
+_AS_CSV = {
+    "an array of NumPy": 'numpy.savetxt("a.csv", numpy.load(FILE), delimiter=",", header="time_s,...")',
+    ARRAYS: 'pandas.DataFrame(dict(numpy.load(FILE))).to_csv("a.csv")',
+    "a Parquet file": 'pandas.read_parquet(FILE).to_csv("a.csv")',
+    "a Feather file": 'pandas.read_feather(FILE).to_csv("a.csv")',
+    "a pickle of Python": 'pandas.read_pickle(FILE).to_csv("a.csv")',
+    "an HDF5 file": 'pandas.read_hdf(FILE).to_csv("a.csv")',
+    "a MATLAB file": 'writetable(T, "a.csv") in MATLAB',
+    "a LabVIEW TDMS file": 'nptdms.TdmsFile(FILE).as_dataframe().to_csv("a.csv")',
+    "JSON": 'pandas.read_json(FILE).to_csv("a.csv")',
+}
 MARKUP = "XML or HTML"
 _BOMS_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 #: Some programs end a line by one.
@@ -182,6 +216,8 @@ _BROKEN_NAME = re.compile(
     rb'(?:^|(?<=[,;\t]))"[^",;\t\n]*(?:\n[^",;\t\n]*){1,3}"(?=[,;\t\r\n])', re.MULTILINE
 )
 #: A minus sign that is no hyphen.
+#: Fortran has a D in an exponent.
+_FORTRAN = re.compile(rb"(?<![\w.])([+-]?(?:\d+\.\d*|\.\d+))[dD]([+-]\d{1,3})(?![\w.])")
 _MINUS, _MINUS_SIGN = "\u2212".encode(), re.compile("\u2212(?=[0-9.,])".encode())
 
 
@@ -189,6 +225,7 @@ _MINUS, _MINUS_SIGN = "\u2212".encode(), re.compile("\u2212(?=[0-9.,])".encode()
 _SEGMENT_HEAD = re.compile(
     rb"^Channels[\t,;][^\n]*\n(?:(?!X_Value)[^\n]*\n){0,20}X_Value[^\n]*\n", re.MULTILINE
 )
+_FIRST_NUMBER = re.compile(rb"[+-]?\d+(?:[.,]\d*)?(?:[eE][+-]?\d+)?(?=[\t;])")
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,7 +252,7 @@ def foreign_kind(head: bytes) -> str | None:
             return kind
     if _is_utf16(head):
         return None
-    head = _NUL_AT_END.sub(b"", head)
+    head = _NUL_AT_END.sub(b"", head).rstrip(b"\0")
     if b"\0" in head or len(_CONTROL.findall(head)) > _CONTROL_FRACTION * len(head):
         return "binary data"
     start = head.lstrip(b"\xef\xbb\xbf \t\r\n")
@@ -228,7 +265,10 @@ def foreign_kind(head: bytes) -> str | None:
 
 def refuse_foreign(kind: str, place: Place) -> NoReturn:
     """Refuse a file that is no text table."""
-    message = f"this is {kind}, no table; give the export of the test machine, or save its columns as CSV"
+    call = f", as with {_AS_CSV[kind]}" if kind in _AS_CSV else ""
+    message = (
+        f"this is {kind}, no table; give the export of the test machine, or save its columns as CSV{call}"
+    )
     place.refuse("not_an_export", message)
 
 
@@ -253,6 +293,10 @@ def decode_text(data: bytes, place: Place) -> Text:
         place.refuse("empty_file", "the file is empty; export the test again")
     head = data[:HEAD_BYTES]
     kind = foreign_kind(head)
+    if kind is None and data.endswith(b"\0") and b"\0" not in (rows := data.rstrip(b"\0")):
+        text, line = decode_text(rows, place), rows.count(b"\n") + 1
+        message = f"line {line} ends in NUL bytes: the file was not closed, and rows may be missing"
+        return replace(text, flags=(*text.flags, Flag("cut_row", message, {"line": line, "kept": True})))
     if kind == MARKUP and (lines := lines_of_markup(data)) is not None:
         return decode_text(lines, place)
     if kind is not None:
@@ -371,6 +415,8 @@ def _plain(text: Text, place: Place) -> Text:
     data = text.data
     if text.codec == "utf-8" and _MINUS in data:
         data = _MINUS_SIGN.sub(b"-", data)
+    if _FORTRAN.search(data, 0, HEAD_BYTES):
+        data = _FORTRAN.sub(rb"\1E\2", data)
     if _MONITORED.match(data):
         data = _MONITORED.sub(lambda one: one[1] + (one[2] or b","), data)
     data = _one_measurement(_on_one_line(data))
@@ -394,12 +440,23 @@ def _on_one_line(data: bytes) -> bytes:
 
 
 def _one_measurement(data: bytes) -> bytes:
-    """A LabVIEW measurement without the heads that its segments repeat; their lines stay, empty."""
+    """A LabVIEW measurement without the heads that its segments repeat; their lines stay, empty.
+
+    The names and units of one behind which the time starts again stay: it begins another recording.
+    """
     first = _SEGMENT_HEAD.search(data) if data.startswith(b"LabVIEW Measurement") else None
     if first is None:
         return data
-    rest = _SEGMENT_HEAD.sub(lambda head: b"\n" * head[0].count(b"\n"), data[first.end() :])
-    return data[: first.end()] + rest
+    rest = data[first.end() :]
+
+    def goes_on(head: re.Match[bytes]) -> bytes:
+        above = rest[max(head.start() - LONGEST_NAMES, 0) : head.start()].rstrip().rpartition(b"\n")[2]
+        times = [_FIRST_NUMBER.match(line) for line in (above, rest[head.end() : head.end() + LONGEST_NAMES])]
+        last, begun = (float(time[0].replace(b",", b".")) if time else 0.0 for time in times)
+        kept = (b"Y_Unit_Label", b"X_Value") if begun < last else ()
+        return b"\n".join(line if line.startswith(kept) else b"" for line in head[0].split(b"\n"))
+
+    return data[: first.end()] + _SEGMENT_HEAD.sub(goes_on, rest)
 
 
 def _unwrapped(text: Text) -> Text:

@@ -1,6 +1,7 @@
-"""The words test machines print: column names and header keys in nine languages, names in eight more.
+"""The words test machines print: column names and header keys in nine languages, names in fourteen more.
 
-The eight are Czech, Danish, Dutch, Korean, Norwegian, Russian, Swedish and Turkish.
+These are Bulgarian, Czech, Danish, Dutch, Finnish, Greek, Hungarian, Korean, Norwegian, Romanian, Russian,
+Swedish, Turkish and Ukrainian.
 One table says which printed name is a time, a displacement or a force, and which of several is taken: the
 lower rank wins, the leftmost column among equals.  It is the written rule behind the ``column_choice`` flag.
 """
@@ -30,34 +31,37 @@ _NAMES: dict[Channel, dict[int, str]] = {
             r"|millis(?:econds?)?|us|usecs?|micros(?:econds?)?|mins|minutes?|zeit|pruf ?zeit"
             r"|test ?zeit|versuchszeit|laufzeit|messzeit"
             r"|temps(?: d essai)?|temps total|duree|tiempo(?: de ensayo| total)?|tempo(?: di prova| (?:de"
-            r"|do) ensaio| total)?|czas(?: testu| proby)?|godzina|(?:测试|试验|試験)?(?:时间|時間)"
-            r"|(?:test ?)?tijd|tid|cas|zaman|sure|время|시간"
+            r"|do) ensaio| total)?|czas(?: testu| proby)?|godzina|(?:测试|试验|試験|測定|計測)?(?:时间|時間)"
+            r"|(?:test ?)?tijd|tid|cas|zaman|sure|время|време|시간|aika|timp|χρονοσ"
         ),
         1: (  # elapsed time of a cycle or step, which starts again; a time stamp; LabVIEW's X_Value
             r"(?:cycle |step |segment )?elapsed(?: time)?|time elapsed|(?:cycle|step|segment) time"
-            r"|temps ecoule|経過時間|time ?stamp|epoch|unix time|date ?time|zeitstempel|uhrzeit"
+            r"|temps ecoule|経過時間|時刻|time ?stamp|epoch|unix time|date ?time|zeitstempel|uhrzeit"
             r"|x value|tiempo transcurrido"
         ),
     },
     "displacement": {
         0: (  # depth of the tool in the tissue, measured as such
             r"indentation(?: depth)?|depth(?: of indentation)?|penetration(?: depth)?"
-            r"|eindring(?:tiefe|weg)|profondeur(?: d indentation)?|enfoncement|profundidad|profundidade"
-            r"|profondita|glebokosc|压入深度|压痕深度"
-            r"|indring(?:diepte|ing)|intrangningsdjup|hloubka|derinlik|глубина(?: внедрения)?|깊이"
+            r"|eindring(?:tiefe|weg)|eindruckung|profondeur(?: d indentation)?|enfoncement|profundidad"
+            r"|profundidade|profondita|affondamento|penetra(?:zione|cion|cao)|indenta(?:zione|cion|cao)"
+            r"|glebokosc|(?:压入|压痕)?深度|βαθοσ|压入量|(?:押し?込み?|侵入)(?:量|深さ)"
+            r"|indring(?:diepte|ing)|intrangningsdjup|hloubka|derinlik|глубина(?: внедрения)?|глибина|깊이"
         ),
         1: (  # travel of the machine from its zero
             r"(?:primary |axial )?(?:extension|displacement|travel|elongation)(?: measurement)?"
-            r"|standard travel|displ?|distance|dist"
-            r"|standard ?weg|weg|hub|traversenweg|verschiebung|verlangerung|verformung|course standard"
+            r"|standard travel|displ?|depl|distance|dist"
+            r"|(?:(?:standard|axial|kolben|stempel|zylinder|maschinen|traversen|pruf) ?)?weg|hub"
+            r"|verschiebung|verlangerung|verformung|course standard"
             r"|allongement|course(?: (?:de (?:la )?)?(?:traverse|machine|verin))?"
             r"|deplacement(?: (?:de (?:la )?)?(?:traverse|machine|verin))?|traverse"
             r"|crosshead (?:displacement|travel|extension)"
             r"|desplazamiento|alargamiento|carrera|carrera estandar|extensao|deslocamento|alongamento"
             r"|curso|estensione|spostamento|allungamento"
             r"|corsa|corsa standard|przemieszczenie|wydluzenie|droga"
-            r"|位移|伸长|伸長|伸び|延伸|拉伸|变形|変位|行程|ストローク|ｽﾄﾛｰｸ|ist ?weg"
+            r"|(?:压头|轴向|横梁)?位移|伸长|伸長|伸び|延伸|拉伸|变形|変位量?|行程|ストローク|ｽﾄﾛｰｸ|ist ?weg"
             r"|verplaatsing|verlenging|forskjutning|forlangning|forskydning|forskyvning|forlengelse"
+            r"|vandring|siirtyma|elmozdulas|deplasare|draha|μετατοπιση|переміщення|преместване"
             r"|posun(?:uti)?|posuv|prodlouzeni|yer degistirme|uzama|deplasman"
             r"|перемещение(?: траверсы)?|смещение|удлинение|ход|변위|신장"
         ),
@@ -70,7 +74,7 @@ _NAMES: dict[Channel, dict[int, str]] = {
             r"(?:absolute )?(?:crosshead|traverse|traversen)(?: absolute?| absolut| position)?"
             r"|traverse absolue|position (?:de (?:la )?|du )?(?:traverse|verin)"
             r"|traversen(?:position|weg absolut)|pos(?:ition)?(?: absolue| z)?|posicion|posizione|pozycja"
-            r"|stroke|actuator|height(?: measured| sensor)?|z(?: position)?|hoehe|hohe|hauteur"
+            r"|stroke|actuator|height(?: measured| sensor)?|z(?: position)?|hoehe|hohe|hauteur|位置"
         ),
         4: (  # what is left between the tools
             r"ecartement entre (?:outils|mors)|(?:tool|grip)(?: to (?:tool|grip))? separation"
@@ -85,10 +89,12 @@ _NAMES: dict[Channel, dict[int, str]] = {
         0: (  # the load cell
             r"(?:standard |primary |axial |normal |vertical )?(?:force|load)(?: measurement| z| normal)?"
             r"|force standard"
-            r"|standard ?kraft|kraft|last|prufkraft|charge|effort(?: normal)?|fuerza(?: estandar)?|carga"
-            r"|forca|forza(?: standard)?|carico|sila(?: standardowa)?|obciazenie"
-            r"|力|标准力|载荷|载重|负荷|荷重|试验力|試験力|fz|load ?cell|ist ?kraft"
-            r"|kracht|belasting|belastning|zatizeni|kuvvet|yuk|сила|нагрузка|усилие|하중|시험력|힘"
+            r"|(?:(?:standard|axial|normal|pruf|kolben|stempel|zylinder) ?)?kraft|last|charge|carga"
+            r"|effort(?: normal)?|fuerza(?: estandar)?|forca|forza(?: standard)?|carico|sila(?: standardowa)?"
+            r"|obciazenie"
+            r"|(?:标准|法向|轴向|试验|試験)?力|力值|载荷|載荷|载重|负荷|負荷|荷重値?|fz|load ?cell|ist ?kraft"
+            r"|kracht|belasting|belastning|zatizeni|kuvvet|yuk|сила|нагрузка|усилие|зусилля|하중|시험력|힘"
+            r"|voima|forta|δυναμη|φορτιο"
         ),
         1: (  # the same with the sense of the test
             rf"{_SENSE} ?(?:load|force|kraft|last)(?: measurement)?"
@@ -107,27 +113,28 @@ _LOOSE_RANK = 8
 SYMBOL_RANK = 9
 _SYMBOLS: dict[Channel, frozenset[str]] = {
     "time": frozenset({"t"}),
-    "displacement": frozenset("xXzZduUhLl"),
-    "force": frozenset("Ff"),
+    "displacement": frozenset({*"xXzZduUhLlδ", "delta"}),
+    "force": frozenset("FfP"),
 }
 #: Letters with a unit that agrees: ``s [mm]``, ``ΔL [mm]``, ``P [mN]``, ``F1 (N)``.
 _LOOSE_SYMBOLS = {
     "time": re.compile("t[1-9]?"),
-    "displacement": re.compile("(?:(?:d|δ ?|delta ?)?[xzduhls]|δ)[1-9]?"),
-    "force": re.compile("[fp][1-9]?"),
+    "displacement": re.compile("(?:(?:d|δ ?|delta ?)?[xzduhls]|δ|delta)[1-9]?"),
+    "force": re.compile("[fp][1-9]?|f n"),
 }
 _LOOSE_WORDS = {
-    "time": re.compile(r"\b(?:time|timestamp|zeit|temps|tiempo|tempo|czas)\b|时间"),
+    "time": re.compile(r"\b(?:time|timestamp|zeit|temps|tiempo|tempo|czas|час|ido)\b|时间"),
     "displacement": re.compile(
         r"\b(?:displacement|extension|indentation|depth|travel|pos(?:ition)?|height|displ?|distance|weg|deplacement"
         r"|stroke|actuator|crosshead|piston|p[xyz]|(?<=\w )[xy]|z"
         # strain in other languages, and letters of an indenter: with a unit of length alone
-        r"|desplazamiento|spostamento|przemieszczenie|deformation|compression|deformace|деформация|pd)\b|位移"
+        r"|desplazamiento|spostamento|przemieszczenie|deformation|deformazione|deformacion|deformacao"
+        r"|compression|deformace|деформация|pd)\b|位移|^ext$"
     ),
     "force": re.compile(
         r"\b(?:force|load|kraft|last|charge|fuerza|carga|forza|carico|sila|f[nz]"
         # what a scale shows, with a unit of force or weight alone
-        r"|weight|mass|gewicht|masse|poids|peso)\b|载荷"
+        r"|weight|mass|gewicht|masse|poids|peso|ero)\b|载荷|压力"
     ),
 }
 #: Where a word begins by its capital alone: ``ProbePos``, ``XForce``.

@@ -12,6 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -20,11 +21,11 @@ import python_calamine
 from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.ingest.broken_rows import refuse_broken
-from tissueid.ingest.columns import Channels, ColumnChoice, choose_columns, has_channels
+from tissueid.ingest.columns import Channels, ColumnChoice, channel_columns, choose_columns, has_channels
 from tissueid.ingest.header import header_entries, specimen_in
-from tissueid.ingest.labelled import units_beside, with_units
+from tissueid.ingest.labelled import FEWEST_ROWS, units_beside, with_units
 from tissueid.ingest.layout import Anchor, anchor, results_below, results_flag
-from tissueid.ingest.numbers import Row, looks_numeric
+from tissueid.ingest.numbers import Row, decimal_evidence, looks_numeric, parse_number
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table, packed_kind
 from tissueid.ingest.refusals import Place
@@ -43,6 +44,9 @@ _DEFAULT_NAME = re.compile(
     r"|hoja)?[\s_#-]*\d*",
     re.IGNORECASE,
 )
+
+#: A formula whose value no spreadsheet has stored looks empty.
+_OR_SAVE = "; if formulas stand there, open the workbook in a spreadsheet program and save it"
 
 Cells = Sequence[Sequence[Any]]
 
@@ -151,22 +155,46 @@ def read_workbook(file: InputFile) -> Iterator[Table | InputError]:
     yield from faults.values()
     names = Counter(name for _, cells, found in trials if (name := _test_name(cells, found)) is not None)
     for sheet, cells, found in trials:
-        for one in _side_by_side(file, cells, found):
-            name = f"{sheet}::{one.name}" if one else sheet
-            own = [one.of(row) for row in cells] if one else cells
-            try:
-                yield _read_sheet(file, name, own, found, names=names)
-            except InputError as error:
-                yield one.placed(error) if one else error
+        for number, block, head in _below_each_other(file, cells, found):
+            for one in _side_by_side(file, block, head):
+                name = "::".join([sheet, *([number] if number else ()), *([one.name] if one else ())])
+                own = [one.of(row) for row in block] if one else block
+                try:
+                    yield _read_sheet(file, name, own, head, names=names)
+                except InputError as error:
+                    yield one.placed(error) if one else error
     if not trials and not faults:
         yield _no_trial(file, workbook)
+
+
+def _below_each_other(file: InputFile, cells: Cells, found: Anchor) -> list[tuple[str, Cells, Anchor]]:
+    """Recordings of a sheet with their numbers, at their rows: behind a head the time starts again."""
+    whole = [("", cells, found)]
+    head = found.head(_rows(cells[: found.first]))
+    results = _results(cells, found, *head, file.options)
+    time = channel_columns(head[0], file.options).get("time", len(cells[0]))
+    filled = [
+        (index, row[time])
+        for index, row in enumerate(cells[:results])
+        if index >= found.first and len(row) > time and type(row[time]) in (float, int)
+    ]
+    starts = [above + 1 for (above, before), (_, after) in pairwise(filled) if after < before]
+    blocks: list[tuple[str, Cells, Anchor]] = []
+    for number, (start, stop) in enumerate(pairwise([0, *starts, len(cells)]), 1):
+        own = _trial_anchor(cells[start:stop], file)
+        if own is None or own.names is None or stop - start - own.first < FEWEST_ROWS:
+            return whole
+        units = None if own.units is None else start + own.units
+        rows = [*([()] * start), *cells[start:stop]]
+        blocks.append((str(number), rows, Anchor(start + own.names, units, start + own.first)))
+    return blocks if starts else whole
 
 
 def _side_by_side(file: InputFile, cells: Cells, found: Anchor) -> Sequence[SpecimenColumns | None]:
     """The specimens that stand side by side in a sheet; None alone where it holds one trial."""
     if found.names is None:
         return [None]
-    head = _head(cells[: found.first])
+    head = _rows(cells[: found.first])
     names, units = found.head(head)
     above = head[found.names - 1] if found.names else ()
     specimens = specimen_columns(above, names, units, file.options)
@@ -193,7 +221,7 @@ def _no_trial(file: InputFile, workbook: Any) -> InputError:
 
 def _read_sheet(file: InputFile, sheet: str, cells: Cells, found: Anchor, *, names: Counter[str]) -> Table:
     place = Place(file.path, sheet)
-    head = _head(cells[: found.first])
+    head = _rows(cells[: found.first])
     printed, units = found.head(head)
     beside = units_beside(printed, (tuple(map(_shown, row)) for row in cells[found.first :]), place)
     units = with_units(printed, units, beside, place)
@@ -252,7 +280,7 @@ def _read_columns(
 ) -> tuple[Channels, list[Flag]]:
     """The three channels in s, mm, N; every cell must be stored as a number."""
     wanted = [choice.index[channel] for channel in CHANNELS]
-    moment = _first_moment(cells[first:], wanted[0])
+    moment, mark = _first_moment(cells[first:], wanted[0]), _mark_of_texts(cells[first:], wanted)
     kept: list[tuple[int, list[Any]]] = []
     skipped: list[int] = []
     flags: list[Flag] = []
@@ -260,6 +288,9 @@ def _read_columns(
         values = [row[index] if index < len(row) else "" for index in wanted]
         if moment is not None and isinstance(values[0], dt.datetime | dt.time | dt.timedelta):
             values[0] = _seconds_since(moment, values[0]) / choice.factors["time"]
+        if mark is not None:
+            parsed = [parse_number(value, mark) for value in values]
+            values = [*parsed] if all(isinstance(number, float) for number in parsed) else values
         if all(type(value) in (float, int) for value in values):
             kept.append((number, values))
         elif not any(_shown(value) for value in values):
@@ -274,7 +305,7 @@ def _read_columns(
         else:
             raise _bad_cell(values, wanted, number, place)
     if len(kept) < 2:
-        message = f"the sheet has {len(kept)} rows of numbers, a recording needs two; export the test again"
+        message = f"the sheet has {len(kept)} rows of numbers, a recording needs two; export again{_OR_SAVE}"
         place.refuse("no_rows", message, line=first + 1)
     if skipped:
         message = f"{len(skipped)} rows without numbers were left out: {', '.join(map(str, skipped[:5]))}"
@@ -289,6 +320,18 @@ def _read_columns(
     fractional = [column != np.floor(column) for column in columns]
     refuse_broken(columns, fractional, "sheet", place, lambda row, k: (kept[row][0], wanted[k] + 1))
     return choice.scaled(columns), flags
+
+
+def _mark_of_texts(rows: Cells, wanted: Sequence[int]) -> str | None:
+    """Decimal mark of numbers that are stored as text in all three columns; None where it is not certain.
+
+    One that a spreadsheet took for a number may have lost its mark.
+    """
+    values = [row[index] for row in rows for index in wanted if index < len(row) and row[index] != ""]
+    if not all(isinstance(value, str) for value in values):
+        return None
+    points, commas, _ = decimal_evidence(filter(looks_numeric, values))
+    return None if (points > 0) == (commas > 0) else "." if points else ","
 
 
 def _first_moment(rows: Cells, column: int) -> dt.datetime | None:
@@ -312,7 +355,7 @@ def _bad_cell(values: Sequence[Any], wanted: Sequence[int], number: int, place: 
     cells = zip(map(_shown, values), values, wanted, strict=True)
     shown, at = next((text, k + 1) for text, value, k in cells if type(value) not in (float, int))
     if not shown:
-        message = "the cell is empty; fill or remove the row"
+        message = f"the cell is empty; fill or remove the row{_OR_SAVE}"
         return place.refusal("empty_cell", message, line=number, column=at)
     message = (
         f"{shown[:40]!r} is stored as text or date, not as a number; go back to the original"
