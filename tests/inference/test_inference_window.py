@@ -353,6 +353,16 @@ def test_a_test_after_cycles_that_let_go_gives_back_the_tissue(how) -> None:
     assert "3 cycles before the test (their state is carried on)" in said
 
 
+@pytest.mark.parametrize("at", [150, 155, 170])
+@pytest.mark.parametrize("how", [{"rest_s": 2.0}, {"rest_s": 4.0, "back_mm": 1.4}])
+def test_a_surface_that_is_not_back_is_no_contact_where_the_record_begins_without_air(how, at) -> None:
+    trial = let_go(**how)
+    names = ("time_s", "displacement_mm", "force_N")
+    contact = segment(replace(trial, **{name: getattr(trial, name)[at:] for name in names})).contact
+    assert contact.index == 0
+    assert abs(contact.displacement_mm - 1.0) < 2.0 * contact.sd_mm
+
+
 @pytest.mark.parametrize("back_mm", [0.0, 2.0])
 def test_of_loadings_without_a_test_the_first_is_fitted(back_mm) -> None:
     trial = loadings((0.5, 2.0, 5.0), (3.0,) * 3, back_mm=back_mm)

@@ -317,15 +317,15 @@ def _lets_go(path: Path, cycles: tuple[Phase, ...], baseline_N: float) -> bool:
 def _set_or_slow(
     first: tuple[Contact, list[Flag]], again: tuple[Contact, list[Flag]], path: Path
 ) -> tuple[Contact, list[Flag]]:
-    """Contact before loops, if it shows, as uncertain as its distance from the one that is met after them.
+    """Contact before loops, as uncertain as its distance from the one that is met after them.
 
     Tissue that is not back yet remembers its loops, and has set if it never comes back.  A tool that stands
     where it is met again, without air before it, does not tell where the surface was.
     """
-    (before, flags), (after, _) = first if first[0].in_record else again, again
-    apart = abs(after.displacement_mm - first[0].displacement_mm)
-    same = apart <= SAME_PLACE_SD * float(np.hypot(first[0].sd_mm, after.sd_mm))
-    if same or (first[0].in_record and not after.in_record):
+    (before, flags), (after, _) = first, again
+    apart = abs(after.displacement_mm - before.displacement_mm)
+    same = apart <= SAME_PLACE_SD * float(np.hypot(before.sd_mm, after.sd_mm))
+    if same or not after.in_record:
         return before, flags
     met = replace(before, sd_mm=float(np.hypot(before.sd_mm, apart)), moved_mm=apart)
     if apart <= UNCERTAIN_SHARE * float(np.ptp(path.depth_mm)):
