@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from law_cases import typical
+from law_cases import of_kind, typical
 from passive_tissues import (
     DEPTH_MM,
     TICK,
@@ -43,12 +43,7 @@ from tissueid.model.yardstick import INSIDE, OUTSIDE, presents, yardstick_of
 from tissueid.result import ModelChoice
 
 RESOLUTION, WINDOW = 0.01, 30.0
-STATIC = [key for key, law in known_laws().items() if law.about.kind == "static"]
-RELAXATIONS = [
-    key
-    for key, law in known_laws().items()
-    if law.about.kind == "relaxation" and key not in {"prony", "spectrum"}
-]
+STATIC, RELAXATIONS = of_kind("static"), of_kind("relaxation", "prony", "spectrum")
 TIMES = (0.003, 0.05, 1.0, 20.0, 300.0)
 
 
@@ -280,14 +275,10 @@ def test_an_entry_point_that_is_no_law_hides_no_other_and_is_named_where_it_is_a
         rebuilt(ModelChoice("creep", 1, 3, 0, "shared", "power * creep", (RESOLUTION, WINDOW)), 8.0)
 
 
-def of_kind(kind):
-    return [key for key, law in known_laws().items() if law.about.kind == kind]
-
-
 NAMES = [
-    *(f"{static} * linear * fractional" for static in of_kind("static")),
+    *(f"{static} * linear * fractional" for static in STATIC),
     *(f"power * quadratic * {relaxation}" for relaxation in of_kind("relaxation")),
-    *(f"exponential * tangent * {one}" for one in of_kind("relaxation") if one != "spectrum"),
+    *(f"exponential * tangent * {one}" for one in of_kind("relaxation", "spectrum")),
     "polynomial * tangent * prony:3",
     "flat * prony:2",
 ]
