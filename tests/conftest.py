@@ -33,25 +33,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 #: Files that take longest: begun first, so that no worker is left alone with one at the end.
 LONGEST = (
-    "test_mutations",
-    "test_population_sampler",
-    "test_cli_bad_input",
-    "test_cli_documentation",
-    "test_study_batch",
-    "test_study_fit",
-    "test_cli_fit",
-    "test_cli_interrupts",
-    "test_cli_real",
-    "test_design_precision",
-    "test_design_search",
-    "test_ingest_hostile",
-    "test_report_page",
-    "test_render_sessions",
-    "test_pipeline_statistics",
-    "test_inference_unloading",
-    "test_render_servo_process",
+    "test_mutations", "test_population_sampler", "test_cli_bad_input", "test_cli_documentation",
+    "test_study_batch", "test_study_fit", "test_cli_fit", "test_cli_interrupts", "test_cli_real",
+    "test_design_precision", "test_design_search", "test_ingest_hostile", "test_render_sessions",
+    "test_pipeline_statistics", "test_inference_unloading", "test_render_servo_process",
     "test_render_faults",
-)
+)  # fmt: skip
 
 
 #: What belongs to the system tier by its measured time: a file, or one of its classes or functions, a line.
