@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissueid.model.channels import ChannelModel
-from tissueid.model.grammar import parsed
+from tissueid.model.grammar import known_laws, parsed
 from tissueid.model.law import Shape
 from tissueid.result import Estimate, ModelChoice
 from tissueid.store.bundle import Bundle
@@ -27,6 +27,11 @@ SIZES = {
     "stiffness_2": -0.2,
 }  # fmt: skip
 SIZE, TIME_S, SLOWER = 12.0, 0.4, 4.0
+
+
+def of_kind(kind: str, *without: str) -> list[str]:
+    """Keys of the registered laws of a kind."""
+    return [key for key, law in known_laws().items() if law.about.kind == kind and key not in without]
 
 
 def typical(model: ChannelModel) -> np.ndarray:

@@ -11,7 +11,7 @@ import pytest
 from closed_forms import ramp_hold_state
 from command_line import read_json, run, write_csv, write_log, write_study
 from impact_logs import impact_logs
-from law_cases import typical
+from law_cases import of_kind, typical
 
 import tissueid as ti
 from tissueid.errors import BundleError, UsageError
@@ -35,10 +35,6 @@ force_filter_s_sd = 1e-6
 skew_s = 0.0
 skew_s_sd = 1e-6
 """
-
-
-def of_kind(kind: str, *without: str) -> list[str]:
-    return [key for key, law in known_laws().items() if law.about.kind == kind and key not in without]
 
 
 NAMES = (
@@ -359,8 +355,8 @@ def test_what_went_in_comes_out(name, tmp_path):
     else:
         bundle = fitted(name, tmp_path)
     out = bundle.parent / "twin"
-    for _ in range(2):
-        # a second time into the same folder
+    for _ in range(2 if name == "yardstick" else 1):
+        # the one whose fit is quick also a second time into the same folder
         ended = run("render", bundle, "--twin", "--against", tmp_path / "log.csv", "--json", code=0)
     document = ended.json("twin")
     assert document == read_json(out / "twin.json")

@@ -47,6 +47,8 @@ def test_constant_speed_from_rest_matches_closed_form(branches: int, degree: int
     expected = loading_force(model, theta, depth, speed_mm_s=speed)
     # both are exact; rounding of time steps over 300 samples
     np.testing.assert_allclose(model.force(theta, ContactPath(depth / speed, depth)), expected, rtol=1e-11)
+    each = loading_force(model, theta, depth, speed_mm_s=np.full(300, speed))
+    np.testing.assert_allclose(each, expected, rtol=1e-12)
 
 
 @every_tissue

@@ -21,6 +21,9 @@ def faults(file: str, tests: tuple[str, ...], table: dict[str, tuple[str, str]])
     return tuple(Mutant(name, file, old, new, tests) for name, (old, new) in table.items())
 
 
+#: Beginning of the tests of whole sessions, a few of which are run without compilation: that takes longer.
+SESSIONS = "tests/render/test_render_faults.py::test_a"
+
 #: Caught by tests that run without compilation.
 INTERPRETED = (
     *faults(
@@ -224,13 +227,9 @@ INTERPRETED = (
             "the reference runs away": ("vr = ve + rate * (xe - x)", "vr = ve - rate * (xe - x)"),
         },
     ),
-)
-
-#: Caught by tests of the compiled loop alone.
-COMPILED = (
     *faults(
         "haptics/falcon/servo_io.py",
-        ("tests/render/test_render_faults.py",),
+        (f"{SESSIONS}_lasting_fault_in_contact_ends_in_fault_and_zero_packets[unplug-1-1]",),
         {
             "a lost device is silent": (
                 "        if length <= 0:\n            parts.flags[LOST] = 1\n",
@@ -240,39 +239,32 @@ COMPILED = (
                 "packets.encode_into(parts.motor, leds, True,",
                 "packets.encode_into(parts.motor, leds, False,",
             ),
-            "a leg that goes on alone is believed": (
-                "elif not found or _alone(parts.since, parts.last, counts):",
-                "elif not found:",
-            ),
-            "legs that move together count as one alone": (
-                "others > STILL_COUNTS",
-                "others > 10 * ALONE_COUNTS",
-            ),
+            "legs that move together are one alone": ("others > STILL_COUNTS", "others > 10 * ALONE_COUNTS"),
         },
     ),
-    *faults(
-        "haptics/falcon/servo_io.py",
-        ("tests/render/test_render_faults.py::test_a_late_wire_lights_its_lamp_and_lowers_the_force",),
-        {"commands are never counted": ("    parts.flags[UNANSWERED] += 1\n    events", "    events")},
+    Mutant(
+        "a leg that goes on alone is believed", "haptics/falcon/servo_io.py",
+        "elif not found or _alone(parts.since, parts.last, counts):", "elif not found:",
+        (f"{SESSIONS}_leg_that_counts_alone_is_a_fault_before_it_makes_a_force[3000.0]",),
     ),
-    *faults(
-        "haptics/falcon/servo_io.py",
+    Mutant(
+        "commands are never counted", "haptics/falcon/servo_io.py",
+        "    parts.flags[UNANSWERED] += 1\n    events", "    events",
+        (f"{SESSIONS}_late_wire_lights_its_lamp_and_lowers_the_force[4]",),
+    ),
+)  # fmt: skip
+
+#: Caught by tests of the compiled loop alone.
+COMPILED = (
+    Mutant(
+        "a pose that is none is believed", "haptics/falcon/servo_io.py",
+        "elif not found or _alone(parts.since, parts.last, counts):",
+        "elif _alone(parts.since, parts.last, counts):",
         ("tests/haptics/test_haptics_servo_drivers.py",),
-        {
-            "a pose that is none is believed": (
-                "elif not found or _alone(parts.since, parts.last, counts):",
-                "elif _alone(parts.since, parts.last, counts):",
-            )
-        },
     ),
-    *faults(
-        "rendering/servo_loop.py",
+    Mutant(
+        "a dead owner unseen", "rendering/servo_loop.py",
+        "        transition(servo.guard_memory, servo.limits, PARENT_DIED)\n", "        pass\n",
         ("tests/render/test_render_homing.py", "tests/render/test_render_servo_process.py"),
-        {
-            "a dead owner unseen": (
-                "        transition(servo.guard_memory, servo.limits, PARENT_DIED)\n",
-                "        pass\n",
-            )
-        },
     ),
-)
+)  # fmt: skip

@@ -306,8 +306,11 @@ class ChannelModel:
             total += (weights * (left @ sudden)) @ np.exp(-time / tau[:, None])
         return total
 
-    def loading(self, theta: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:
-        """Relaxing force at ascending depths reached at constant speed from rest, (n,) -> (n,) [N]."""
+    def loading(self, theta: FloatArray, depth_mm: FloatArray, speed_mm_s: float | FloatArray) -> FloatArray:
+        """Relaxing force at ascending depths reached at constant speed from rest, (n,) -> (n,) [N].
+
+        Depths need not ascend where each has a speed of its own.
+        """
         x = np.asarray(depth_mm, dtype=np.float64)
         if self.outside:
             states = np.zeros((len(self.parts), x.size))
@@ -316,6 +319,9 @@ class ChannelModel:
                 length = speed_mm_s * tau[:, None]
                 states[j] = -weights @ (length * np.expm1(-x[None, :] / length))
             return np.asarray((self.stiffness(theta, x) * states).sum(axis=0))
+        if isinstance(speed_mm_s, np.ndarray):
+            each = zip(x[:, None], speed_mm_s.tolist(), strict=True)
+            return np.concatenate([self.loading(theta, depth, speed) for depth, speed in each])
         fine = np.union1d(np.linspace(0.0, float(x.max()), LOADING_POINTS), x)
         force = self.force(theta, ContactPath(fine / speed_mm_s, fine)) - self.static_force(theta, fine)
         return np.asarray(force[np.searchsorted(fine, x)])
@@ -415,9 +421,9 @@ class ElasticModel(ChannelModel):
 
 
 def loading_force(
-    model: ChannelModel, theta: FloatArray, depth_mm: FloatArray, *, speed_mm_s: float
+    model: ChannelModel, theta: FloatArray, depth_mm: FloatArray, *, speed_mm_s: float | FloatArray
 ) -> FloatArray:
-    """Force at depths reached at constant speed from rest, (n,) -> (n,) [N]."""
+    """Force at depths reached at constant speed from rest, one for all or one each, (n,) -> (n,) [N]."""
     x = np.asarray(depth_mm, dtype=np.float64)
     return np.asarray(model.static_force(theta, x) + model.loading(theta, x, speed_mm_s))
 
@@ -480,7 +486,12 @@ class DampedModel(ElasticModel):
         moving = self.loading(theta, np.array([depth_mm]), speed_mm_s or 1.0)[0]
         return np.where(np.asarray(time_s) > 0.0, 0.0, moving)
 
-    def loading(self, theta: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:  # noqa: ARG002
+    def loading(
+        self,
+        theta: FloatArray,
+        depth_mm: FloatArray,
+        speed_mm_s: float | FloatArray,  # noqa: ARG002
+    ) -> FloatArray:
         """Force beyond the static one at the speed of the contact, (n,) -> (n,) [N]."""
         return np.asarray(self.factor(theta) * self.static_force(theta, depth_mm))
 

@@ -246,12 +246,8 @@ def _means(peaks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def _line(tissue: Tissue, depth: float, speeds: FloatArray) -> dict[str, Any]:
     """Force at a depth by speed, as the model has it, with its 95 % band."""
     model = tissue.model
-    x = np.array([min(depth, model.depth_mm)])
-
-    def at(theta: FloatArray) -> FloatArray:
-        return np.array([loading_force(model, theta, x, speed_mm_s=float(speed))[0] for speed in speeds])
-
-    band = tissue.banded(at)
+    x = np.full(speeds.size, min(depth, model.depth_mm))
+    band = tissue.banded(lambda theta: loading_force(model, theta, x, speed_mm_s=speeds))
     return {"speed": brief(speeds), "force": band.pop("value"), **band}
 
 

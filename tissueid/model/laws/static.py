@@ -102,6 +102,16 @@ class Hertz(KnownPower):
     coefficients: ClassVar[tuple[ParameterSpec, ...]] = _at_1_mm("static_N_per_mm1_5", "N/mm^1.5")
 
 
+#: Coefficients of a polynomial of the largest degree.
+_COEFFICIENTS = tuple(
+    ParameterSpec(
+        f"static_{k}_N_per_mm{k if k > 1 else ''}", f"a{k}", f"N/mm^{k}" if k > 1 else "N/mm",
+        -np.inf, np.inf, f"coefficient of x^{k} in the static force F_s",
+    )
+    for k in (1, 2, 3)
+)  # fmt: skip
+
+
 @dataclass(frozen=True, slots=True)
 class Polynomial:
     """F_s = a1 x + a2 x^2 + ..., of degree 1 to 3."""
@@ -124,13 +134,7 @@ class Polynomial:
     @property
     def coefficients(self) -> tuple[ParameterSpec, ...]:
         """a1, a2, ..."""
-        return tuple(
-            ParameterSpec(
-                f"static_{k}_N_per_mm{k if k > 1 else ''}", f"a{k}", f"N/mm^{k}" if k > 1 else "N/mm",
-                -np.inf, np.inf, f"coefficient of x^{k} in the static force F_s",
-            )
-            for k in range(1, self.degree + 1)
-        )  # fmt: skip
+        return _COEFFICIENTS[: self.degree]
 
     def basis(self, depth_mm: FloatArray) -> FloatArray:
         """Powers of depth."""
