@@ -177,6 +177,11 @@ def test_a_clean_single_exponential_has_no_flag():
     assert row_of([10.0], [2.0], sigma=0.05, noise_N=0.05)[1] == {}
 
 
+def test_noise_that_was_underrated_asks_for_no_second_exponential():
+    # one sample of 3,000 is nearly four sd off: a twentieth of the range, six times the stated noise
+    assert row_of([10.0], [2.0], sigma=0.16, noise_N=0.08)[1] == {}
+
+
 def test_relaxation_longer_than_a_third_of_its_window_is_flagged_with_both():
     flag = row_of([10.0], [15.0])[1]["tau_exceeds_window"]
     assert flag.values["tau_s"] == pytest.approx(15.0, rel=1e-3)

@@ -310,6 +310,8 @@ WINDOW_SHARE = 1.0 / 3.0
 WINDOW_SHIFT = 0.2
 RESIDUAL_SHARE = 0.05
 NRMSD_RATIO = 2.0
+#: ... and what a second exponential must gain at the least, where single samples leave one far.
+LEAST_RATIO = 1.05
 #: A residual below this many standard deviations of the noise says nothing of the model.
 NOISE_FACTOR = 5.0
 
@@ -366,7 +368,8 @@ def _flags(found: Ladder, tau: float, time: FloatArray, range_N: float, noise_N:
     if tau < 2.0 * step:
         message = f"one exponential gives {tau:.3g} s at a sampling interval of {step:.3g} s"
         flags.append(Flag("tau_below_resolution", message, {"tau_s": tau, "step_s": step}))
-    if (share > RESIDUAL_SHARE and found.worst_N > NOISE_FACTOR * noise_N) or ratio > NRMSD_RATIO:
+    far = share > RESIDUAL_SHARE and found.worst_N > NOISE_FACTOR * noise_N
+    if (far and ratio > LEAST_RATIO) or ratio > NRMSD_RATIO:
         lost = f"one exponential leaves {100 * share:.2g} % of the hold's range"
         values = {"max_residual_fraction": share, "nrmsd_ratio": ratio}
         flags.append(Flag("one_tau_inadequate", f"{lost}; two fit {ratio:.2g} times better", values))
