@@ -181,8 +181,8 @@ _CAUTION = {
         "The tissue that fits best stands at the edge of what is passive; its error is not symmetric.",
         "Check the contact point; trust sampled intervals.", "stand at the passivity bound"),
     "tau_exceeds_window": FlagKind("Short hold", "a relaxation time is longer than a third of its window",
-        "The hold ended before this relaxation did; its time is an extrapolation.",
-        "Hold three times as long.", "relax longer than was held"),
+        "The hold ended before this relaxation did; its time is an extrapolation. A load cell that drifts "
+        "looks the same.", "Hold three times as long.", "relax longer than was held"),
     "tau_below_resolution": FlagKind("Sampling", "a relaxation time is shorter than two sampling intervals",
         "The branch is a jump of the force at this rate; its time is not measured.",
         "Sample ten times faster, or quote the viscosity alone.", "relax faster than was sampled"),
@@ -309,8 +309,8 @@ _NOTE = {
         "do not decide between models"),
     "preload": FlagKind("Preload", "the force at the start is above its noise: the tissue was preloaded",
         "Depth counts from the preloaded surface, not from the free one; tissue that had relaxed under "
-        "it, slower than the ramp, was met further back.", "Start in air, or state --contact.",
-        "start preloaded"),
+        "it, slower than the ramp, was met further back. A load cell that was not zeroed looks the same.",
+        "Start in air, or state --contact.", "start preloaded"),
     "starts_in_contact": FlagKind("Start in contact",
         "the recording starts in contact or within its noise: no samples in air",
         "Zero force and zero depth were not seen; the linear static term may be off.",
