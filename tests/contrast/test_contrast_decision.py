@@ -17,6 +17,7 @@ from tissueid.contrast.decision import (
     contrast_document,
     difference,
     draws_of_numbers,
+    hand_words,
     noticed,
     rows,
 )
@@ -135,6 +136,27 @@ def test_a_force_that_is_not_faint_is_noticed_by_a_hand_beyond_seven_percent(
     (one,) = noticed({"force at 4 mm [N]": force}, {"force at 4 mm [N]": ratio * force}, force_scale=scale)
     assert one.limit is LIMITS[0]
     assert (one.times > 1.0, one.probability) == (felt, float(felt))
+
+
+@pytest.mark.parametrize(
+    ("ratio", "spread", "different", "said"),
+    [
+        (1.04, 0.17, False, "it is not known whether a hand could tell: force, 0.49 (0 to 7.3)"),
+        (1.30, 0.02, True, "a hand could tell: force, 3.7"),
+        (1.30, 0.02, False, "it is not known"),
+        (1.01, 0.01, True, "a hand would hardly tell"),
+    ],
+)
+def test_scatter_is_no_difference_that_a_hand_could_tell(
+    ratio: float, spread: float, different: bool, said: str
+) -> None:
+    chance = np.random.default_rng(5)
+    one, other = ({"force": 40.0 * of * np.exp(spread * chance.standard_normal(4000))} for of in (1.0, ratio))
+    found = noticed(one, other, force_scale=1.0)
+    assert hand_words(found, different=different).startswith(said)
+    low, high = found[0].interval
+    assert low <= found[0].times <= high
+    assert (found[0].probability >= 0.975) is (low > 1.0)
 
 
 PAIRS, FEW = 400, 3

@@ -14,6 +14,7 @@ from design_cases import (
     ETA,
     PAPER_A,
     TAU,
+    TWO,
     Case,
     correlated,
     paper_a,
@@ -210,6 +211,24 @@ def test_information_of_any_law_is_that_of_its_simulated_forces(name, tissue):
     wanted = relative_sd(exact + prior, gradient)[:, 0]
     # relaxations that are no exponentials are looked at ever more seldom along a hold
     assert relative_sd(found + prior, gradient)[:, 0] == pytest.approx(wanted, rel=0.01)
+
+
+def test_a_long_hold_is_looked_at_ever_more_seldom_and_says_what_all_its_samples_say(monkeypatch):
+    setting, test = Setting(100.0, 0.5), Indentation(250.0, 2.0, 200.0)
+    machine, theta = replace(PRESETS["paper-a"], contact_sd_mm=1e-4), TWO.theta[0]
+    _, _, force = fitted_force(TWO.model, test, machine, setting)
+    z = np.column_stack(slopes(force, theta, TWO.model.shape_places))
+    sizes, whole = [], ChannelModel.force
+    monkeypatch.setattr(
+        ChannelModel, "force", lambda self, of, path: sizes.append(path.time_s.size) or whole(self, of, path)
+    )
+
+    found = information(TWO.model, theta, test, Chain(machine, setting, 0.0, total=False), [test.hold_s])[0]
+
+    assert max(sizes) < 0.1 * z.shape[0]
+    prior, gradient = np.diag(4.0 / np.maximum(np.abs(theta), 0.1) ** 2), np.eye(theta.size)[:, None, :]
+    wanted = relative_sd(z.T @ z / setting.noise_N**2 + prior, gradient)
+    assert relative_sd(found + prior, gradient) == pytest.approx(wanted, rel=0.001)
 
 
 #: Calibration nuisance -> its value, and the step of its numerical derivative.

@@ -12,8 +12,8 @@ from design_cases import ETA, PAPER_A, TAU, asked_for, better_than_paper_a, pape
 
 from tissueid.design.machine import PRESETS, Setting
 from tissueid.design.plan import Plan, against, planned
-from tissueid.design.precision import Asked, Ledger
-from tissueid.design.search import enumerated, learned_candidates, rounded
+from tissueid.design.precision import Asked, Indentation, Ledger, Precision
+from tissueid.design.search import balanced, enumerated, learned_candidates, rounded
 from tissueid.design.tissues import Tissues, of_draws
 from tissueid.errors import UsageError
 
@@ -181,6 +181,13 @@ def test_what_a_machine_cannot_run_and_a_budget_without_room_are_said():
 def test_what_leaves_no_protocol_is_refused(change, says):
     with pytest.raises(UsageError, match=says):
         planned(MACHINE, PAPER_A, replace(ASKED, **change), silent)
+
+
+def test_a_number_that_stays_open_takes_no_further_logs(monkeypatch):
+    open_ones = np.full((len(ASKED.wants), 1), np.inf)
+    monkeypatch.setattr(Ledger, "precision", lambda self, _protocol: Precision(open_ones, self.asked))
+    tests = (Indentation(500.0, 4.0), Indentation(100.0, 4.0, 2.0))
+    assert balanced(ledger_of(), tests, {}).logs == 2 * ASKED.repeats
 
 
 def test_numbers_of_a_sheet_are_short_and_never_above():

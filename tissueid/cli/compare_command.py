@@ -181,15 +181,7 @@ def _lines(document: Contrast) -> Iterator[str]:
                 f"  {row.name:<{width}}  {row.one[1]:>9.4g}  {row.other[1]:>9.4g}  {ratio:<32} "
                 f"larger: {row.larger:.3f}"
             )
-        felt = [one for one in pair.noticed if one.times > 1.0]
-        if felt:
-            most = max(felt, key=lambda one: one.times)
-            limit = most.limit
-            times = f"{most.times:.2g} times the just-noticeable difference"
-            source = f"{limit.source}, doi {limit.doi}: {limit.conditions}"
-            yield f"  a hand could tell: {most.name}, {times} ({source})"
-        else:
-            yield "  a hand would hardly tell: no difference exceeds a published just-noticeable one"
+        yield f"  {pair.hand}"
 
 
 def _is_fit(path: Path) -> bool:

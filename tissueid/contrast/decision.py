@@ -115,9 +115,29 @@ def noticed(one: Draws, other: Draws, *, force_scale: float) -> list[documents.N
         middle = 0.5 * np.abs(a + b)
         if limit.of == "force":
             middle = np.maximum(middle, LEAST_FORCE_N / force_scale)
-        times = np.abs(b - a) / (limit.share * middle)
-        found.append(documents.Noticed(name, limit, float(np.median(times)), float(np.mean(times > 1.0))))
+        times = (b - a) / (limit.share * middle)
+        # more or less, but of one sign: what scatters to both sides of 0 is no difference
+        times *= np.copysign(1.0, np.median(times))
+        low, median, high = _central(times)
+        interval = max(low, 0.0), max(high, -low)
+        found.append(documents.Noticed(name, limit, median, interval, float(np.mean(times > 1.0))))
     return found
+
+
+def hand_words(found: Sequence[documents.Noticed], *, different: bool) -> str:
+    """Say whether a hand could tell; not known where an interval has one just-noticeable difference in it."""
+    felt = [one for one in found if one.interval[0] > 1.0] if different else []
+    possible = felt or [one for one in found if one.interval[1] > 1.0]
+    if not possible:
+        return "a hand would hardly tell: no difference exceeds a published just-noticeable one"
+    most = max(possible, key=lambda one: (one.probability, one.times))
+    said = "a hand could tell" if felt else "it is not known whether a hand could tell"
+    low, high = (f"{end:.2g}" for end in most.interval)
+    limit = most.limit
+    return (
+        f"{said}: {most.name}, {most.times:.2g} ({low} to {high}) times the just-noticeable difference "
+        f"({limit.source}, doi {limit.doi}: {limit.conditions})"
+    )
 
 
 #: Shares of the common depth at which forces are compared.
@@ -279,8 +299,9 @@ def contrast_document(
     pairs = []
     for i, j in combinations(range(len(tissues)), 2):
         one, other = draws[i], draws[j]
-        told = tuple(rows(one, other)), tuple(noticed(one, other, force_scale=scale))
-        pairs.append(documents.Pair(tissues[i].name, tissues[j].name, difference(one, other), *told))
+        apart, felt = difference(one, other), tuple(noticed(one, other, force_scale=scale))
+        told = tuple(rows(one, other)), felt, hand_words(felt, different=apart.different)
+        pairs.append(documents.Pair(tissues[i].name, tissues[j].name, apart, *told))
     return {
         "schema": "tissueid/contrast/1",
         "tissueid": __version__,

@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.design.machine import CALIBRATION, Machine, Setting
@@ -101,14 +102,12 @@ def seconds_of(test: Indentation, machine: Machine) -> float:
     return approach + ramp_of(test, machine).seconds + test.hold_s + home
 
 
-#: After so many time constants a held tissue is at rest: further samples repeat the last.
-AT_REST = 20.0
 #: Steps between samples where a filter acts, as a share of the fastest time constant, and most of them.
 FINE_SHARE, MOST_FINE = 0.2, 16
 #: Relative change of the filter's time constant for its derivative, and of the path as a share of the depth.
 FILTER_STEP, STEP_SHARE = 1e-3, 1e-6
-#: Growth of the steps between times of a hold that goes on after the path was looked at evenly.
-TAIL_SHARE = 0.02
+#: Step between the samples of a hold that are looked at, as a share of the time since the ramp.
+TAIL_SHARE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,32 +160,34 @@ def _calibration_columns(
     return [logged, scaled, late, slower, given]
 
 
-def _times(ramp: Ramp, hold_s: float, step_s: float, uniform_s: float) -> FloatArray:
-    """Times of a path: even up to a time of the hold, then ever further apart."""
-    even = np.arange(np.ceil((ramp.seconds + min(hold_s, uniform_s)) / step_s) + 1.0) * step_s
-    last = ramp.seconds + hold_s
-    if even[-1] >= last:
-        return even
-    count = int(np.ceil(np.log(last / even[-1]) / np.log1p(TAIL_SHARE))) + 1
-    return np.append(even, np.geomspace(even[-1], last, count)[1:])
+def _looked_at(ramp: Ramp, ends: Sequence[int], step_s: float) -> tuple[NDArray[np.intp], int]:
+    """Numbers of the samples that are looked at, and of the one before which none is left out.
+
+    A hold relaxes ever more slowly, so ever fewer stand for all of it; the last before each end are there.
+    """
+    start, last = int(np.ceil(ramp.seconds / step_s)), ends[-1] - 1
+    even = min(start + round(1.0 / TAIL_SHARE), last)
+    far = np.arange(np.log(1.0 / TAIL_SHARE), np.log(max(last - start, 1)), np.log1p(TAIL_SHARE))
+    some = np.r_[: even + 1, start + np.exp(far).astype(int), np.array(ends) - 1]
+    return np.unique(some), even
 
 
 def _rows(
-    model: ChannelModel, theta: FloatArray, test: Indentation, chain: Chain, *, hold_s: float
-) -> tuple[FloatArray, FloatArray]:
-    """Derivative columns at every sample, and its depth."""
+    model: ChannelModel, theta: FloatArray, test: Indentation, chain: Chain, *, ends: Sequence[int]
+) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
+    """Samples that are looked at, the derivative columns there, and the depth."""
     ramp = ramp_of(test, chain.machine)
     step, filter_s = chain.setting.step_s, chain.setting.filter_s
-    samples = max(int(np.ceil((ramp.seconds + hold_s) / step)), 2)
-    sampled = np.asarray(np.arange(float(samples)) * step, dtype=np.float64)
-    fine, tau = 1, model.times(theta)
+    at, even = _looked_at(ramp, ends, step)
+    fine = 1
     if filter_s > 0.0:
-        finest = min(filter_s, float(tau.min(initial=np.inf)))
+        finest = min(filter_s, float(model.times(theta).min(initial=np.inf)))
         fine = int(np.clip(np.ceil(step / (FINE_SHARE * finest)), 1, MOST_FINE))
-    even = AT_REST * (float(tau.max(initial=0.0)) + filter_s) + 2.0 * step
-    time = _times(ramp, sampled[-1] - ramp.seconds, step / fine, even)
+    time: FloatArray = np.append(np.arange(even * fine + 1.0) / fine, at[at > even].astype(float)) * step
     # the displacement is logged on the samples, and the model knows it as linear between them
-    depth = np.interp(time, sampled, ramp.depth(sampled))
+    sampled = np.asarray(at * step, dtype=np.float64)
+    reached = ramp.depth(sampled)
+    depth = np.interp(time, sampled, reached)
     path = ContactPath(time, tip_depth(model, theta, time, depth, chain.machine.compliance_mm_per_N))
     force = model.force(theta, path)
     # shapes by their logarithm
@@ -197,22 +198,25 @@ def _rows(
     if chain.total:
         more = _calibration_columns(model, theta, path, force, filter_s)
         columns = [*columns[:-2], *more, *columns[-2:]]
-    rows = np.column_stack([np.interp(sampled, time, column) for column in columns])
-    return rows, ramp.depth(sampled)
+    return at, np.column_stack([np.interp(sampled, time, column) for column in columns]), reached
 
 
-def _whitened_sums(rows: FloatArray, phi: float, cuts: Sequence[int], extra: Sequence[int]) -> FloatArray:
-    """Gram matrices of the whitened rows up to each cut, the last row repeated so many times more."""
-    white = rows.copy()
-    root = np.sqrt(1.0 - phi**2)
-    white[1:] = (rows[1:] - phi * rows[:-1]) / root
-    again = rows[-1] * (1.0 - phi) / root
+def _whitened_sums(at: NDArray[np.intp], rows: FloatArray, phi: float, cuts: Sequence[int]) -> FloatArray:
+    """Gram matrices of the whitened rows up to each cut; those between two samples go with both, linearly."""
+    white, gaps = rows.copy(), np.diff(at)
+    before = rows[1:] - np.diff(rows, axis=0) / gaps[:, None]
+    white[1:] = (rows[1:] - phi * before) / np.sqrt(1.0 - phi**2)
+    # of the samples after one up to the next, each of the two stands for so many
+    ends, starts = np.append(1.0, 0.5 * (gaps + 1.0)), 0.5 * (gaps - 1.0)
     out, total, last = [], np.zeros((rows.shape[1], rows.shape[1])), 0
-    for cut, repeats in zip(cuts, extra, strict=True):
-        part = white[last:cut]
-        total = total + part.T @ part
+    for cut in cuts:
+        first = max(last - 1, 0)
+        weights = np.append(starts[first : cut - 1], 0.0)
+        weights[last - first :] += ends[last:cut]
+        part = white[first:cut]
+        total = total + (weights[:, None] * part).T @ part
         last = cut
-        out.append(total + repeats * np.outer(again, again))
+        out.append(total)
     return np.stack(out)
 
 
@@ -221,19 +225,13 @@ def information(
 ) -> FloatArray:
     """Information (holds, q, q) on (coefficients, ln of shapes, calibration) for several ascending holds."""
     setting = chain.setting
-    longest = holds_s[-1]
-    if model.relaxation.branches or model.fixed_s.size:
-        # exponentials come to rest, other relaxations go on
-        settled = AT_REST * (float(model.times(theta).max(initial=0.0)) + setting.filter_s)
-        longest = min(longest, settled + 2.0 * setting.step_s)
-    rows, depth = _rows(model, theta, test, chain, hold_s=longest)
+    ramp_s = ramp_of(test, chain.machine).seconds
+    ends = [max(int(np.ceil((ramp_s + hold) / setting.step_s)), 2) for hold in holds_s]
+    at, rows, depth = _rows(model, theta, test, chain, ends=ends)
     inside = depth >= GUARD_SD * chain.machine.contact_sd_mm
     first = int(np.argmax(inside)) if inside.any() else rows.shape[0] - 1
-    rows = rows[first:]
-    ramp_s = ramp_of(test, chain.machine).seconds
-    wanted = [max(int(np.ceil((ramp_s + hold) / setting.step_s)) - first, 1) for hold in holds_s]
-    cuts = [min(n, rows.shape[0]) for n in wanted]
-    gram = _whitened_sums(rows, setting.phi, cuts, [n - cut for n, cut in zip(wanted, cuts, strict=True)])
+    cuts = [max(int(np.searchsorted(at, end)) - first, 1) for end in ends]
+    gram = _whitened_sums(at[first:], rows[first:], setting.phi, cuts)
     gram /= setting.noise_N**2
     return _without_effects(gram, chain)
 

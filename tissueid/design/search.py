@@ -250,8 +250,9 @@ def balanced(ledger: Ledger, tests: Sequence[Indentation], start: Protocol) -> F
         for test in tests:
             more = _looked_at(ledger, {**now.protocol, test: now.protocol.get(test, 0) + 1})
             if more.logs <= asked.max_logs and more.seconds <= asked.budget_s:
-                gain = (np.log(now.worst) - np.log(more.worst)) / ledger.seconds(test)
-                options.append((gain, more))
+                # a number that stays open is no nearer
+                gain = np.log(now.worst) - np.log(more.worst) if np.isfinite(more.worst) else 0.0
+                options.append((gain / ledger.seconds(test), more))
         if not options:
             break
         gain, best = max(options, key=lambda pair: pair[0])

@@ -102,8 +102,9 @@ class Noticed(Document, frozen=True):
 
     name: str
     limit: Limit
-    times: NonNegative
-    probability: Fraction
+    times: NonNegative  # Median
+    interval: tuple[NonNegative, NonNegative]  # Central 95 %, from 0 where either may have more
+    probability: Fraction  # That it exceeds one, in the direction of its median
 
 
 class Pair(Document, frozen=True):
@@ -114,6 +115,7 @@ class Pair(Document, frozen=True):
     difference: Difference
     numbers: tuple[Number, ...]
     noticed: tuple[Noticed, ...]
+    hand: str  # Whether it could tell, where that is known
 
 
 class Contrast(Document, frozen=True):

@@ -11,8 +11,6 @@ from tissueid.report.page import render_page
 from tissueid.report.parts import DASHED, LOG_X, Figure, band, trace
 from tissueid.report.wording import Verdict
 
-#: A difference below this many just-noticeable ones is not felt.
-NOTICED = 1.0
 #: A probability below this is said to be below it.
 SMALL = 0.001
 
@@ -37,14 +35,7 @@ def pair_verdict(pair: Pair, level: float) -> Verdict:
     found = pair.difference
     chance = f"p {_probability(found.probability)}, level {100 * level:g} %"
     names = f"{pair.one} and {pair.other}"
-    felt = [one for one in pair.noticed if one.times > NOTICED]
-    hand = "No difference exceeds a published just-noticeable one: a hand would hardly tell."
-    if felt:
-        most = max(felt, key=lambda one: float(one.times))
-        hand = (
-            f"A hand could tell by the {most.name}: {number(most.times, 2)} times the just-noticeable "
-            "difference."
-        )
+    hand = f"{pair.hand[:1].upper()}{pair.hand[1:]}."
     if found.different:
         return Verdict("note", f"{names} differ", f"All forces together ({chance}). {hand}")
     equal = "That is no proof of being equal: look at the intervals of the ratios."

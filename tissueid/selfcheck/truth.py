@@ -17,6 +17,7 @@ from tissueid.errors import InputError
 from tissueid.inference.reported import reported_draws
 from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix
 from tissueid.model.channels import ChannelModel, loading_force, minimum_on_unit
+from tissueid.model.states import branch_states
 from tissueid.priors import CalibrationPrior, Priors, SpreadPrior
 from tissueid.synth.simulate import Path, contact_path
 
@@ -368,10 +369,5 @@ def low_pass(time_s: FloatArray, force_N: FloatArray, filter_s: float) -> FloatA
         start = lfiltic(weights, [1.0, -a], [force_N[0]], [force_N[0]])
         rest, _ = lfilter(weights, [1.0, -a], force_N[1:], zi=start)
         return np.concatenate([force_N[:1], rest])
-    out = np.empty_like(force_N)
-    out[0] = force_N[0]
-    for i in range(step.size):
-        out[i + 1] = (
-            decay[i] * out[i] + (share[i] - decay[i]) * force_N[i] + (1.0 - share[i]) * force_N[i + 1]
-        )
-    return out
+    # what a branch of that time has not relaxed is what the filter lags behind
+    return np.asarray(force_N - branch_states(time_s, force_N, np.array([filter_s]))[0])
