@@ -101,6 +101,8 @@ def test_the_verdict_falls_with_what_is_missing():
     lost = specimen_document()
     lost["parameters"][-1] |= {"identified": False, "value": None}
     assert verdict(lost).level == "serious"
+    assumed = clean | {"flags": [{"code": "split_assumed", "message": "m"}]}
+    assert verdict(assumed).text.endswith("every parameter is identified, if K is constant.")
     stopped = clean | {"flags": [{"code": "not_converged", "message": "m"}]}
     assert verdict(stopped).level == "serious"
 

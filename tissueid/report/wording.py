@@ -156,7 +156,8 @@ def verdict(specimen: Specimen) -> Verdict:
     known = [entry for entry in every if entry.identified]
     # a fit that leaves more reads no better than one that leaves less
     levels = [grade for limit, grade in _LEFT if left >= limit]
-    levels += [remark.level for remark in remarks(specimen)[:1]]
+    told = remarks(specimen)
+    levels += [remark.level for remark in told[:1]]
     levels += ["caution"] * (len(known) < len(every))
     for family in ("viscosity", "static_1"):
         asked = [entry.identified for entry in every if entry.name.startswith(family)]
@@ -168,6 +169,7 @@ def verdict(specimen: Specimen) -> Verdict:
         share = "a mark of what a law can reach, with nothing to quote"
     elif len(known) < len(every):
         share = f"{len(known)} of {len(every)} parameters are identified"
+    share += ", if K is constant" * ("split_assumed" in {remark.code for remark in told})
     fit = f"The model follows the force to {100 * left:.2f} % of its range{_beside_noise(specimen)}"
     return Verdict(level, _TITLES[level], f"{fit}; {share}.")
 
