@@ -69,11 +69,12 @@ def test_hostile_archives_are_refused_or_read_in_bounded_time_and_memory(tmp_pat
 def test_hostile_texts_are_refused_or_read_in_bounded_time_and_memory(tmp_path: Path) -> None:
     verdicts = bounded(tmp_path, hostile.hostile_texts())
     assert {len(verdict.codes) for verdict in verdicts.values()} == {1}
-    assert verdicts["half-row.csv"].codes == ("read",)
+    # a last row that was not written to its end, or a file that was filled ahead
+    assert verdicts["half-row.csv"].codes == verdicts["nul-tail.csv"].codes == ("read",)
     for name in ("junk.csv", "nested.json.csv", "headers-only.csv", "bom-soup.csv"):
         assert verdicts[name].codes == ("not_an_export",), name
     refused = (
-        "junk-after-head", "junk-late", "nul-inside", "nul-tail", "wide-name", "big-exponent", "many-marks",
+        "junk-after-head", "junk-late", "nul-inside", "wide-name", "big-exponent", "many-marks",
     )  # fmt: skip
     for stem in refused:
         assert verdicts[f"{stem}.csv"].codes != ("read",), stem
