@@ -84,6 +84,18 @@ def test_a_part_of_a_second_in_a_column_of_its_own_is_added(
     assert set(codes(trial)) <= {"column_choice", "units_assumed"}
 
 
+@pytest.mark.parametrize(("begins_s", "leap"), [(36705.0, 0.0), (50.0, 40.0)])
+def test_a_clock_in_one_number_is_taken_apart_at_its_minutes(tmp_path, begins_s, leap) -> None:
+    time = begins_s + np.arange(0.0, 20.0, 0.02)
+    glued = 1e4 * (time // 3600) + 100.0 * (time // 60 % 60) + time % 60
+    depth = np.clip(time - begins_s, 0.0, 5.0)
+    lines = "".join(f"{t:.3f},{x:.4f},{2.0 * x:.4f}\n" for t, x in zip(glued, depth, strict=True))
+    trial = read(put(tmp_path / "a.csv", f"Time,Position (mm),Load (N)\n{lines}"))
+    # just after midnight they could be seconds as well: what they leap by is told as a gap
+    assert np.diff(trial.time_s).max() == pytest.approx(0.02 + leap, abs=1e-3)
+    assert ("column_choice" in codes(trial)) == (leap == 0.0)
+
+
 def test_milliseconds_since_the_start_are_no_part_of_the_seconds(tmp_path: Path) -> None:
     lines = "".join(f"{0.1 * k:.1f},{100 * k},{0.02 * k:.2f},{0.5 * k:.1f}\n" for k in range(40))
     trial = read(put(tmp_path / "a.csv", f"Seconds,Milliseconds,Position (mm),Load (N)\n{lines}"))

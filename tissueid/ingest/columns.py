@@ -49,6 +49,8 @@ _NAMED_BY_UNIT = re.compile(
 )
 #: Letters of the depth of an indentation.
 _DEPTHS = frozenset({"h", "δ", "delta"})
+#: Least clock time in one number, as one after midnight could be seconds as well, and fewest that tell.
+LEAST_CLOCK, FEWEST_TIMES = 10_000.0, 10
 #: A form of clock times, which are read as seconds: ``hh:mm:ss.fff``.
 _CLOCK_FORM = re.compile(r"(?:h+:)?m+:s+(?:[.,:][f0sz#]+)?", re.IGNORECASE)
 #: A word or sign that may be a unit, or a part of one: ``10^-3 N``, ``″``.
@@ -99,9 +101,14 @@ class ColumnChoice:
     ) -> tuple[Channels, tuple[Flag, ...]]:
         """Channels on their exact clock; ``read``: of another choice.
 
-        A part of a second in a column of its own is added; channels with clocks of their own are refused.
+        A part of a second in a column of its own is added, a clock in one number taken apart; channels with
+        clocks of their own are refused.
         """
         self._refuse_other_clock(columns[0], read, place, line)
+        if self.factors["time"] == 1.0 and (of_day := _time_of_day(columns[0])) is not None:
+            words = f"{self.names['time']!r} is a clock in one number, hhmmss: the seconds of it are taken"
+            values = {"quantity": "time", "taken": self.names["time"], "alternatives": []}
+            return (of_day, *columns[1:]), (Flag("column_choice", words, values),)
         if self.counter is not None and self.interval_s is not None:
             return self._by_counter(columns, self.counter, self.interval_s, read)
         if self.below_second is None:
@@ -403,6 +410,21 @@ def choose_columns(
     return ColumnChoice(
         indices, printed, factors, tuple(flags), head.options.axes, interval_s, stated, other, part
     )
+
+
+def _time_of_day(time_s: FloatArray) -> FloatArray | None:
+    """Seconds of clock times like 101159.98 before 101200.00, which leap at minutes; ``None`` of others."""
+    if time_s.size < FEWEST_TIMES:
+        return None
+    minutes, seconds = np.divmod(time_s, 100.0)
+    hours, minute = np.divmod(minutes, 100.0)
+    clock = 3600.0 * hours + 60.0 * minute + seconds
+    if time_s.min() < LEAST_CLOCK or max(seconds.max(), minute.max()) >= 60.0 or hours.max() >= 24.0:
+        return None
+    steps, turns = np.diff(clock), np.diff(minutes) > 0.0
+    usual = float(np.median(steps))
+    even = turns.any() and (np.abs(steps[turns] - usual) <= 0.5 * usual).all()
+    return clock if even else None
 
 
 def _below_second(head: _Head, time: _Column) -> tuple[int, float] | None:
