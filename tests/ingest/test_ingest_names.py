@@ -194,6 +194,7 @@ def test_what_may_be_something_else_is_not_taken_for_want_of_another(tmp_path: P
         ("%time,position_mm,force_N", "0", "100000000", "UNIT", "ns"),
         ("Time,position_mm,force_N", "45021.4244", "0.0000011574074", "day", "day"),
         ("Time,position_mm,force_N", "738000.4244", "0.0000011574074", "day", "day"),
+        ("Time,position_mm,force_N", "0", "0.0000011574074", "day", "day"),
     ],
 )
 def test_a_stamp_that_is_no_seconds_is_asked_about(tmp_path, head, first, step, unit, stated) -> None:

@@ -328,7 +328,10 @@ def _beyond_machines(table: Table, declared: Container[str]) -> Iterator[str]:
 def _beyond_clocks(table: Table) -> Iterator[str]:
     """Times that are no seconds: a stamp in days, ms, us or ns under a name that does not say so."""
     first, last = float(table.time_s[0]), float(table.time_s[-1])
-    days = DAY_COUNTS[0] < first < DAY_COUNTS[1] and 0.0 < last - first < DAY_STEP * table.time_s.size
+    # without a unit a part of a day as well
+    assumed = {one.values["quantity"] for one in table.flags if one.code == "units_assumed"}
+    counted = DAY_COUNTS[0] < first < DAY_COUNTS[1] or "time" in assumed
+    days = counted and 0.0 < last - first < DAY_STEP * table.time_s.size
     if abs(first) < STAMP_LIMIT_S and last - first < DURATION_LIMIT_S and not days:
         return
     units = (
