@@ -136,8 +136,9 @@ def bent_of(chosen: Tried, tried: Sequence[Tried]) -> Bent | None:
     force, low, high = _half_way(chosen)
     for one in tried:
         if (one.branches, one.degree) == (chosen.branches, chosen.degree + 1):
+            _, lower, upper = _half_way(one)
             # of a K that varies the constant one is a case
-            ends = min(_half_way(one)[1], low), max(_half_way(one)[2], high)
+            ends = min(lower, low), max(upper, high)
             if ends[1] - ends[0] > BENDS * (high - low):
                 return Bent(0.5 * chosen.law.depth_mm, force, ends)
     return None
