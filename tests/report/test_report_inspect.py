@@ -316,7 +316,8 @@ def test_an_entry_is_copied_by_key_and_a_click_moves_the_contact(opened):
     traces(tab, "depth")
     tab.evaluate(
         """() => { const box = document.querySelector('[data-figure=depth]');
-                   box.emit('plotly_click', {points: [{x: 0.1461059279}]}); }"""
+                   const x = 0.1461059279;
+                   box.emit('plotly_click', {points: [{x, customdata: [1, x]}]}); }"""
     )
     entry = tab.locator("#recording-1-contact")
     assert entry.is_visible()
@@ -365,12 +366,21 @@ def page(tmp_path):
         thread.join()
 
 
-def click(tab: Any, figure: str, **point: float) -> None:
+def click(tab: Any, figure: str, x: float, y: float) -> None:
+    """A click on the sample at ``x`` that is nearest to ``y``."""
     box = f"[data-figure={figure}]"
     tab.locator(box).scroll_into_view_if_needed()
     tab.wait_for_function("box => document.querySelector(box).data", arg=box)
     tab.evaluate(
-        "([box, point]) => document.querySelector(box).emit('plotly_click', {points: [point]})", [box, point]
+        """([box, x, y]) => {
+            const shown = document.querySelector(box);
+            const far = (one, i) => 1e6 * Math.abs(one.x[i] - x) + Math.abs(one.y[i] - y);
+            const every = shown.data.flatMap(one => one.customdata.map((customdata, i) => (
+                { x: one.x[i], customdata, far: far(one, i) })));
+            const [best] = every.filter(one => one.customdata).sort((a, b) => a.far - b.far);
+            shown.emit('plotly_click', { points: [best] });
+        }""",
+        [box, x, y],
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import Any
 
@@ -19,7 +19,7 @@ from tissueid.flags import flag_level
 from tissueid.report.figures import packed
 from tissueid.report.inspect_decisions import Decision, decisions
 from tissueid.report.page import render_page
-from tissueid.report.wording import LEVELS, trial_label, whole_label
+from tissueid.report.wording import LEVELS, flag_remarks, trial_label, whole_label
 from tissueid.result import Refusal
 from tissueid.trial import Segmentation, Trial
 
@@ -245,7 +245,6 @@ def render_inspection(
         payload={ids[i]: packed_recording(recordings[i].drawn, share) for i in order[:MOST_DRAWN]},
         data="recordings",
         study=study,
-        value_words=_value,
         created=created,
         served=served,
         style="inspect.css",
@@ -279,13 +278,17 @@ def _names(documents: Sequence[TrialDocument]) -> list[str]:
 def _view(own: str, recording: InspectedRecording, name: str) -> dict[str, Any]:
     document = recording.document
     holds = [phase.end_s - phase.start_s for phase in document.phases if phase.kind == "hold"]
+    flags = sorted(document.flags, key=lambda flag: -LEVELS.index(flag_level(flag.code)))
     return {
         "id": own,
         "name": name,
         "of": recording,
         "data": document,
         "words": _WORDS[recording.level],
-        "flags": sorted(document.flags, key=lambda flag: -LEVELS.index(flag_level(flag.code))),
+        "flags": [
+            replace(remark, numbers={name: _value(value) for name, value in flag.values.items()})
+            for flag, remark in zip(flags, flag_remarks(flags), strict=True)
+        ],
         "program": _program(document.phases),
         "hold_s": max(holds, default=None),
         "corrections": corrections(document, recording.standing),

@@ -24,7 +24,6 @@ from tissueid.documents.identification import Estimate, Identification, Specimen
 from tissueid.documents.inspect import Units
 from tissueid.documents.study import StudyCheck
 from tissueid.errors import refuse
-from tissueid.flags import flag_level
 from tissueid.report import wording
 from tissueid.report.figures import curve_payload, curves_by_trial, posterior_payload
 from tissueid.report.law_payload import curve_groups, law_payload
@@ -49,10 +48,9 @@ _SCRIPTS = ("grids.js", "posterior.js", "law.js", "figures.js", "tables.js")
 
 #: Functions that templates call by their names, of a value behind a bar as well.
 _WORDS: tuple[Callable[..., Any], ...] = (
-    *(number, with_error, flag_level, subscripted, wording.span, wording.reach, wording.percent),
+    *(number, with_error, subscripted, wording.span, wording.reach, wording.percent),
     *(wording.counted, wording.took, wording.in_units, wording.unit_words, wording.symbol_words),
     *(wording.event_words, wording.parameter_words, wording.trial_label, wording.whole_label),
-    wording.remark_title,
     *(change_words, frame_words, key_words, stated_facts, stated_table),
 )
 

@@ -173,5 +173,5 @@ def render_population(document: Population, bundle: Bundle | None, *, created: s
         most_drawn=MOST_DRAWN,
         payload=population_payload(document, bundle),
         created=created,
-        scripts=["population.js"],
+        scripts=["grids.js", "population.js"],
     )

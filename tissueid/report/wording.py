@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from statistics import median
 
 from markupsafe import Markup, escape
@@ -37,6 +37,7 @@ class Remark:
     title: str  # what it is about
     messages: tuple[str, ...]  # its sentences, with numbers; none twice
     where: tuple[str, ...]  # trials that carry it; empty for the specimen as a whole
+    numbers: Mapping[str, str] = field(default_factory=dict)  # one click away
 
     @property
     def message(self) -> str:

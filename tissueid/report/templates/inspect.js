@@ -12,12 +12,12 @@
     const kinds = new Map();
     const covered = one.phases.length ? one.phases : [["approach", 0, one.t.length - 1]];
     covered.forEach(([kind, first, last]) => {
-      const line = kinds.get(kind) || { x: [], y: [], text: [] };
+      const line = kinds.get(kind) || { x: [], y: [], text: [], customdata: [] };
       for (let i = first; i <= last; i += 1) {
-        line.x.push(one[abscissa][i]); line.y.push(one[ordinate][i]);
+        line.x.push(one[abscissa][i]); line.y.push(one[ordinate][i]); line.customdata.push([one.t[i], one.x[i]]);
         line.text.push(`${number(one.t[i])} s, ${number(one.x[i])} mm${one.contact ? ` (depth ${number(one.sign * (one.x[i] - one.contact.x))} mm)` : ""}, ${number(one.f[i])} N`);
       }
-      line.x.push(null); line.y.push(null); line.text.push("");
+      line.x.push(null); line.y.push(null); line.text.push(""); line.customdata.push(null);
       kinds.set(kind, line);
     });
     return [...kinds].map(([kind, line]) => ({ ...line, ...extra, name: kind, legendgroup: kind, mode: "lines", connectgaps: false,
@@ -65,25 +65,15 @@
     const data = traces(one, "x", "f", { showlegend: true });
     if (one.events.length) {
       data.push({ x: one.events.map((event) => event.x), y: one.events.map((event) => event.f), text: one.events.map((event) => event.kind), mode: "markers+text",
-        textposition: "top center", marker: { color: ink, size: 9, symbol: "x" }, name: "event", hovertemplate: "%{text}: %{x:.5g} mm, %{y:.5g} N<extra></extra>" });
+        customdata: one.events.map((event) => [event.t, event.x]), textposition: "top center", marker: { color: ink, size: 9, symbol: "x" }, name: "event", hovertemplate: "%{text}: %{x:.5g} mm, %{y:.5g} N<extra></extra>" });
     }
     return figure(data, shapes, notes, { xaxis: plain("Displacement as recorded [mm]"), yaxis: plain("Force [N]") });
   };
 
-  // the sample that was clicked, by its place in the picture
-  const nearest = (one, figure, point) => {
-    const span = (values) => values.reduce((most, value) => Math.max(most, Math.abs(value - values[0])), 1e-12);
-    const far = (values, at, wide = span(values)) => values.map((value) => Math.abs(value - at) / wide);
-    const across = far(figure === "time" ? one.t : one.x, point.x);
-    const up = figure === "time" ? across : far(one.f, point.y);
-    const best = across.reduce((least, one, i) => (one + up[i] < across[least] + up[least] ? i : least), 0);
-    return { t: one.t[best], x: one.x[best] };
-  };
-
   // a click sets the number of the decision that is open and can be set in that picture: contact by place, the cut by time
   const clicked = (box, point) => {
-    const one = recording(box.dataset.recording);
-    const pick = new CustomEvent("pick", { bubbles: true, cancelable: true, detail: { ...nearest(one, box.dataset.figure, point), recording: box.dataset.recording } });
+    const [t, x] = point.customdata;
+    const pick = new CustomEvent("pick", { bubbles: true, cancelable: true, detail: { t, x, recording: box.dataset.recording } });
     if (!box.dispatchEvent(pick)) return;
     const wanted = box.dataset.figure === "time" ? "start_s" : "contact_mm";
     const entry = document.querySelector(`textarea[data-adjust="${wanted}"][id^="${box.dataset.recording}-"]`);

@@ -49,12 +49,8 @@ const lawKinds = (curves, draws) => {
       ...known.dynamic.flatMap((part, k) => banded(known.x, part, 1, part.label, nth(INKS, k), { line: { color: nth(INKS, k), dash: nth(DASHES, k), width: 2 }, showlegend: true })),
       ...banded(known.x, known.stiffness, 2, "stiffness of the branches", colour("model")),
     ];
-    const titles = [
-      ["static", `F_s [${units(s).force}]`],
-      ["dynamic, in loading", `F_d [${units(s).force}]`],
-      ["stiffness", stiffness(s)],
-    ];
-    const layout = panels(box, 3, titles.map(([name, y]) => [name, named(depth(s)), named(y, { rangemode: "tozero" })]),
+    const panel = (name, y) => [name, named(depth(s)), named(y, { rangemode: "tozero" })];
+    const layout = panels(box, 3, [panel("static", `F_s [${units(s).force}]`), panel("dynamic, in loading", `F_d [${units(s).force}]`), panel("stiffness", stiffness(s))],
       { showlegend: true, legend: { orientation: "h", x: 0, y: -0.18, yanchor: "top" } });
     return { traces, layout, height: (layout.grid.rows > 1 ? 620 : 270) + 60 };
   };

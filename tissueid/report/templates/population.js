@@ -8,13 +8,9 @@
   const figures = {
     bands: () => {
       const { depth_mm: x, quantiles, typical } = payload.bands;
-      const end = { x, mode: "lines", line: { width: 0 }, hoverinfo: "skip" };
-      const band = (low, high, opacity, name) => [
-        { ...end, y: quantiles[low], showlegend: false },
-        { ...end, y: quantiles[high], fill: "tonexty", fillcolor: faint("data", opacity), name },
-      ];
+      const band = (low, high, opacity, name) => outline(x, quantiles[low], quantiles[high], { fillcolor: faint("data", opacity), name, showlegend: true });
       return {
-        traces: [...band(0, 4, 0.25, "95 % of specimens"), ...band(1, 3, 0.45, "68 % of specimens"),
+        traces: [band(0, 4, 0.25, "95 % of specimens"), band(1, 3, 0.45, "68 % of specimens"),
           { x, y: typical, mode: "lines", line: { color: colour("model"), width: 2.5 }, name: "typical tissue", hovertemplate: "%{x:.2f} mm: %{y:.4g} N<extra></extra>" }],
         x: "Depth [mm]", y: "Force [N]",
       };
