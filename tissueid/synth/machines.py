@@ -1,7 +1,6 @@
 """Logs as other machines print them: testXpert, Mach-1, MTS 793, Shimadzu, Optics11 Chiaro, and workbooks.
 
-Each knows the grammar of its format and nothing of the reader; no spreadsheet library, so none is trusted
-twice.
+Each knows the grammar of its format and nothing of the reader.
 """
 
 from __future__ import annotations
@@ -9,8 +8,8 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from xml.sax.saxutils import escape
 
+from tissueid.store.xlsx import Cell, Sheet, xlsx_bytes
 from tissueid.synth.simulate import SyntheticLog
 
 Decimals = tuple[int, int, int]
@@ -208,60 +207,16 @@ def _zipped(parts: Mapping[str, bytes]) -> bytes:
     return packed.getvalue()
 
 
-Cell = float | str
-
 _WORDS = {
     "en": ("Test time", "Standard force", "Standard travel", "Grip to grip separation", "Results"),
     "fr": ("Temps d'essai", "Force standard", "Allongement", "Ecartement entre outils", "Résultats"),
     "de": ("Prüfzeit", "Standardkraft", "Standardweg", "Werkzeugabstand", "Ergebnisse"),
 }
-_MAIN = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
-_RELATIONS = "http://schemas.openxmlformats.org/package/2006/relationships"
-_OFFICE = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
-_TYPES = "http://schemas.openxmlformats.org/package/2006/content-types"
-_KIND = "application/vnd.openxmlformats-officedocument.spreadsheetml"
-_XML = '<?xml version="1.0" encoding="UTF-8" standalone="yes"?>\n'
 
 
-def _cell(value: Cell) -> str:
-    if isinstance(value, str):
-        return f'<c t="inlineStr"><is><t>{escape(value)}</t></is></c>' if value else "<c/>"
-    return f"<c><v>{value!r}</v></c>"
-
-
-def xlsx(sheets: Sequence[tuple[str, Iterable[Sequence[Cell]]]]) -> bytes:
-    """A workbook; the same sheets give the same bytes."""
-    numbers = range(1, len(sheets) + 1)
-    parts = {
-        "[Content_Types].xml": f'<Types xmlns="{_TYPES}"><Default Extension="rels" '
-        'ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
-        f'<Override PartName="/xl/workbook.xml" ContentType="{_KIND}.sheet.main+xml"/>'
-        + "".join(
-            f'<Override PartName="/xl/worksheets/sheet{i}.xml" ContentType="{_KIND}.worksheet+xml"/>'
-            for i in numbers
-        )
-        + "</Types>",
-        "_rels/.rels": f'<Relationships xmlns="{_RELATIONS}"><Relationship Id="r1" '
-        f'Type="{_OFFICE}/officeDocument" Target="xl/workbook.xml"/></Relationships>',
-        "xl/workbook.xml": f'<workbook xmlns="{_MAIN}" xmlns:r="{_OFFICE}"><sheets>'
-        + "".join(
-            f'<sheet name="{escape(name)}" sheetId="{i}" r:id="r{i}"/>'
-            for i, (name, _) in zip(numbers, sheets, strict=True)
-        )
-        + "</sheets></workbook>",
-        "xl/_rels/workbook.xml.rels": f'<Relationships xmlns="{_RELATIONS}">'
-        + "".join(
-            f'<Relationship Id="r{i}" Type="{_OFFICE}/worksheet" Target="worksheets/sheet{i}.xml"/>'
-            for i in numbers
-        )
-        + "</Relationships>",
-    }
-    for i, (_, rows) in zip(numbers, sheets, strict=True):
-        cells = "".join("<row>" + "".join(map(_cell, row)) + "</row>" for row in rows)
-        parts[f"xl/worksheets/sheet{i}.xml"] = (
-            f'<worksheet xmlns="{_MAIN}"><sheetData>{cells}</sheetData></worksheet>'
-        )
-    return _zipped({name: (_XML + text).encode() for name, text in parts.items()})
+def xlsx(sheets: Iterable[tuple[str, Sequence[Sequence[Cell]]]]) -> bytes:
+    """A workbook of sheets whose first row is of texts; the same sheets give the same bytes."""
+    return xlsx_bytes([Sheet(name, tuple(map(str, head)), rows) for name, (head, *rows) in sheets])
 
 
 def _rounded(log: SyntheticLog, decimals: Decimals) -> list[tuple[float, float, float]]:
@@ -278,7 +233,7 @@ def zwick_workbook(
 ) -> bytes:
     """A testXpert workbook: a sheet of results, then one sheet a log under three head rows."""
     time, force, travel, gap, results = _WORDS[language]
-    sheets: list[tuple[str, Iterable[Sequence[Cell]]]] = [
+    sheets: list[tuple[str, Sequence[Sequence[Cell]]]] = [
         (
             results,
             [["", "Fmax", "dL"], ["", "N", "mm"], ["synthetic 1", 12.5, 3.1], ["synthetic 2", 13.5, 3.4]],
@@ -297,7 +252,7 @@ def zwick_workbook(
 
 def bluehill_workbook(logs: Sequence[SyntheticLog], *, decimals: Decimals = (5, 5, 5)) -> bytes:
     """Bluehill's table as a workbook: header, names, units, a half-cycle counter, results below."""
-    sheets: list[tuple[str, Iterable[Sequence[Cell]]]] = []
+    sheets: list[tuple[str, Sequence[Sequence[Cell]]]] = []
     for log in logs:
         rows = _rounded(log, decimals)
         sheet: list[Sequence[Cell]] = [
