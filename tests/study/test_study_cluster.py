@@ -89,7 +89,7 @@ def address():
     end(*processes)
 
 
-def test_tasks_on_a_cluster_end_well_and_badly_as_here_and_other_versions_are_refused(address, monkeypatch):
+def test_tasks_on_a_cluster_end_well_and_badly_as_here_and_other_versions_are_refused(address):
     tasks = [Task(number, "cohort_lab:doubled", bytes([number])) for number in range(9)]
     tasks.append(Task(9, "cohort_lab:with_a_bug", b""))
     with DaskWorkers(address) as crew:
@@ -97,10 +97,10 @@ def test_tasks_on_a_cluster_end_well_and_badly_as_here_and_other_versions_are_re
     assert [found[number].result for number in range(9)] == [bytes([number]) * 2 for number in range(9)]
     fault = found[9].fault
     assert fault.code == "job_failed"
-    other = versions() | {"numpy": "1.0"}
-    monkeypatch.setattr(cluster, "versions", lambda: other)
+    other = DaskWorkers(address)
+    other._versions = versions() | {"numpy": "1.0"}
     with pytest.raises(UsageError, match=r"other versions: tcp://.*numpy .* \(here 1.0\)"):
-        DaskWorkers(address).__enter__()
+        other.__enter__()
 
 
 def test_an_address_without_a_scheduler_is_refused_with_the_way_out(monkeypatch):

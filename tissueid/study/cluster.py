@@ -93,7 +93,7 @@ class DaskWorkers(Futures):
         """Refuse a cluster whose numbers would not be ours, naming every worker that differs."""
         wanted = self._versions
         try:
-            found = self._client.run(_versions_there)
+            found = self._client.run(versions)
         except ImportError as error:
             self._close()
             refuse(f"{self._address}: a worker can't import tissueid ({error}); install it there")
@@ -152,7 +152,3 @@ class DaskWorkers(Futures):
             f"{self._address}: the Dask scheduler was lost and is not back; what was finished is kept: run "
             "the same command again when it is there"
         )
-
-
-def _versions_there() -> dict[str, str]:
-    return versions()
