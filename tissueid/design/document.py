@@ -8,7 +8,6 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-import tomlkit
 
 from tissueid.design.machine import Machine
 from tissueid.design.plan import Against, Judged, Plan
@@ -19,6 +18,7 @@ from tissueid.documents.design import Indentation as Told
 from tissueid.documents.design import Number, Planned, Precision, Protocol, Tissue
 from tissueid.model.channels import ChannelModel
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
+from tissueid.report.inspect_decisions import toml_value
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, dump_recipe
 
 #: Rest, in longest relaxation times, after which a tissue counts as recovered.
@@ -155,11 +155,6 @@ def session_order(best: Judged) -> list[tuple[Indentation, int]]:
     return [(test, repeat) for _, _, test, repeat in sorted(places, key=lambda place: place[:2])]
 
 
-def _quoted(text: str) -> str:
-    """A text as TOML writes it."""
-    return str(tomlkit.item(text).as_string())
-
-
 def _file_name(test: Indentation, repeat: int) -> str:
     kind = f"hold{test.hold_s:g}s" if test.hold_s > 0.0 else "ramp"
     return f"{kind}-{test.depth_mm:g}mm-{test.speed_mm_min:g}mm-min-{repeat}.csv"
@@ -200,8 +195,8 @@ def study_text(best: Judged, machine: Machine, asked: Asked, *, title: str) -> s
         f'schema = "{STUDY_SCHEMA}"',
         "",
         "[study]",
-        f"title = {_quoted(title)}",
-        f"machine = {_quoted(machine.name)}",
+        f"title = {toml_value(title)}",
+        f"machine = {toml_value(machine.name)}",
         "",
         "[calibration]",
         *(f"{key} = {value:.10g}" for key, value in calibration.items() if value is not None),

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
+
+import tomlkit
 
 from tissueid.digits import number, with_error
 from tissueid.documents.inspect import Trial
@@ -54,23 +55,11 @@ class Decision:
 _Decide = Callable[..., Decision]
 
 
-def toml_string(text: str) -> str:
-    r"""A basic string of TOML.
-
-    >>> print(toml_string('a "b"'))
-    "a \"b\""
-    """
-    # escapes are those of JSON, and the delete character has one
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
 def toml_value(value: Any) -> str:
     """A number, boolean, string or flat map as TOML writes it."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {toml_value(one)}" for key, one in value.items()) + " }"
-    return toml_string(value) if isinstance(value, str) else repr(value)
+    return str(tomlkit.item(value).as_string())
 
 
 def _entry(
@@ -225,4 +214,4 @@ def _exclusion(recording: Trial, entry: str) -> Decision:
             "exclude", "Exclusion", "it takes part in the fit; this entry would take it out", entry
         )
     taken = f"it is taken out of the fit, because: {because}; without this entry it would take part"
-    return Decision("exclude", "Exclusion", taken, entry.replace(toml_string(BECAUSE), toml_string(because)))
+    return Decision("exclude", "Exclusion", taken, entry.replace(toml_value(BECAUSE), toml_value(because)))

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomlkit
 
 from tissueid.collection import display_names
 from tissueid.digits import number
@@ -19,6 +18,7 @@ from tissueid.documents.measured import Measured, MeasuredPush
 from tissueid.ingest.manifest import SCHEMA
 from tissueid.ingest.quality import capacity_in
 from tissueid.inspection import measured_of, segmented
+from tissueid.report.inspect_decisions import toml_value
 from tissueid.report.wording import counted, reach
 from tissueid.result import Refusal
 from tissueid.store.schema import load_schema
@@ -256,9 +256,7 @@ _OFFERED: Mapping[str, tuple[str, ...]] = {
 
 def _quoted(value: Any) -> str:
     """A value as TOML writes it; numbers to six digits."""
-    if isinstance(value, float):
-        return repr(float(f"{value:.6g}"))
-    return str(tomlkit.item(value).as_string())
+    return toml_value(float(f"{value:.6g}") if isinstance(value, float) else value)
 
 
 def _stated(trials: Sequence[Trial], pattern: re.Pattern[str]) -> str | None:
