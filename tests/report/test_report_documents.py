@@ -25,6 +25,7 @@ from tissueid.design.precision import Asked, given_protocol
 from tissueid.design.tissues import given_recipe, of_recipe_tissue, parsed_want
 from tissueid.documents import plain, typed
 from tissueid.documents.identification import Identification
+from tissueid.documents.selfcheck import Source
 from tissueid.model.channels import ChannelModel
 from tissueid.population.cohort import CohortOptions, cohort
 from tissueid.population.document import as_document as population_document
@@ -49,7 +50,6 @@ from tissueid.rupture.study import rupture_study
 from tissueid.selfcheck.protocol import of_recipe
 from tissueid.selfcheck.records import Record
 from tissueid.selfcheck.tissue import tissue_check
-from tissueid.selfcheck.verdicts import Asked as AskedCheck
 from tissueid.selfcheck.verdicts import check_document
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.posteriors import posteriors_of_fits
@@ -138,8 +138,8 @@ def selfcheck(*, narrow: bool = False) -> dict[str, Any]:
         )
         for i, (z, rank) in enumerate(zip(rng.standard_normal((100, 3)), ranks, strict=True))
     ]
-    asked = AskedCheck("recipe", "paper-a-hold-100Hz", "paper-a", 100, 7)
-    return plain(check_document(asked, protocol, tissue_check(protocol, centre), records)[0])
+    source, check = Source("recipe", "paper-a-hold-100Hz", "paper-a"), tissue_check(protocol, centre)
+    return plain(check_document(source, protocol, check, records, simulations=100, seed=7)[0])
 
 
 def contrast_words(found: dict[str, Any]) -> Sequence[str]:

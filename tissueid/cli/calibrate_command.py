@@ -14,7 +14,7 @@ from tissueid.cli.output import checked, made_folder, note, progress_bar, refuse
 from tissueid.cli.reading import ReadingFlags, read_all, read_options, recorded_options
 from tissueid.cli.synth_command import check_rate
 from tissueid.documents.folder import Frame
-from tissueid.documents.selfcheck import Prior, SelfCheck
+from tissueid.documents.selfcheck import Prior, SelfCheck, Source
 from tissueid.errors import InputError, NotIdentifiedError, UsageError, refuse
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def command(flags: _CalibrateFlags) -> int:
     from tissueid.report.selfcheck_page import render_selfcheck
     from tissueid.selfcheck.records import Checkpoint, fingerprint, run_simulations
     from tissueid.selfcheck.tissue import described, tissue_check
-    from tissueid.selfcheck.verdicts import Asked, check_document
+    from tissueid.selfcheck.verdicts import check_document
     from tissueid.store.files import json_bytes, time_now, write_file
 
     if flags.phi is not None and flags.noise != "ar1":
@@ -106,8 +106,9 @@ def command(flags: _CalibrateFlags) -> int:
                 workers=flags.workers,
                 progress=progress,
             )
-    asked = Asked(found.kind, flags.source, found.specimen, flags.simulations, flags.seed)
-    written, verdict = check_document(asked, found.protocol, check, records)
+    source = Source(found.kind, flags.source, found.specimen)
+    counts = {"simulations": flags.simulations, "seed": flags.seed}
+    written, verdict = check_document(source, found.protocol, check, records, **counts)
     document, read = checked(written, "selfcheck", SelfCheck, where=_FILES[0])
     write_file(out / _FILES[0], json_bytes(document))
     write_file(out / _FILES[1], render_selfcheck(read, created=time_now()).encode("utf-8"))
@@ -159,7 +160,7 @@ def _lines(
 class Found:
     """Object of a check."""
 
-    kind: str  # ``recipe``, ``study`` or ``bundle``
+    kind: Literal["recipe", "study", "bundle"]
     specimen: str
     protocol: Protocol
     centre: Centre

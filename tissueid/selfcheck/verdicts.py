@@ -21,7 +21,7 @@ from scipy.stats import binom
 
 from tissueid import PosteriorOptions, __version__
 from tissueid.arrays import FloatArray, IntArray
-from tissueid.documents import members, plain
+from tissueid.documents import plain
 from tissueid.documents import selfcheck as documents
 from tissueid.documents.selfcheck import Coverage, Inside, Parameter, Prior
 from tissueid.errors import NotIdentifiedError
@@ -87,7 +87,7 @@ def ecdf_band(simulations: int, level: float) -> EcdfBand:
     z = np.arange(1, POINTS) / POINTS
 
     def interval(error: float) -> tuple[IntArray, IntArray]:
-        low, high = (binom.ppf(level, simulations, z) for level in (error / 2.0, 1.0 - error / 2.0))
+        low, high = binom.interval(1.0 - error, simulations, z)
         return np.asarray(low, dtype=np.int64), np.asarray(high, dtype=np.int64)
 
     # by Boole a pointwise error of (1 - level) / POINTS is enough, and one of 1 - level at least is needed
@@ -102,11 +102,6 @@ def ecdf_band(simulations: int, level: float) -> EcdfBand:
             break
     low, high = interval(float(np.exp(wide)))
     return EcdfBand(points=z, low=low, high=high, level=level)
-
-
-def binomial_interval(trials: int, chance: float, error: float) -> tuple[int, int]:
-    """Counts that a binomial variable leaves with a probability of at most ``error``, half on each side."""
-    return int(binom.ppf(error / 2.0, trials, chance)), int(binom.ppf(1.0 - error / 2.0, trials, chance))
 
 
 #: Relative difference below which truths are the same.
@@ -174,12 +169,12 @@ class Verdict:
 def _coverage(ranks: IntArray, level: float, error: float, held: Sequence[bool | None]) -> Coverage:
     """Count truths in the quoted interval; else ranks in the central one: (L + 1) * level of the L + 1."""
     out = round((1.0 - level) / 2.0 * (DRAWS + 1))
-    n, (low, high) = ranks.size, binomial_interval(ranks.size, level, error)
+    n, (low, high) = ranks.size, binom.interval(1.0 - error, ranks.size, level)
     inside = (ranks >= out) & (ranks <= DRAWS - out)
     if level == QUOTED:
         inside = np.array([own if told is None else told for own, told in zip(inside, held, strict=True)])
     covered = int(inside.sum())
-    return Coverage(level, covered / n, low / n, high / n, inside=low <= covered <= high)
+    return Coverage(level, covered / n, float(low / n), float(high / n), inside=bool(low <= covered <= high))
 
 
 def _parameter(name: str, records: Sequence[Record], bands: Mapping[str, EcdfBand], family: int) -> Parameter:
@@ -229,17 +224,6 @@ def verdict_of(records: Sequence[Record]) -> Verdict:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """Request of the user."""
-
-    kind: str  # ``recipe``, ``study`` or ``bundle``
-    path: str
-    specimen: str
-    simulations: int
-    seed: int
-
-
 def _protocol(protocol: Protocol) -> documents.Protocol:
     logs, contact_sd_mm = protocol.logs, max(log.contact_sd_mm for log in protocol.logs)
     times, (slow, fast) = (protocol.step_s, protocol.duration_s), protocol.speeds_mm_s
@@ -248,9 +232,18 @@ def _protocol(protocol: Protocol) -> documents.Protocol:
 
 
 def check_document(
-    asked: Asked, protocol: Protocol, check: TissueCheck, records: Sequence[Record]
+    source: documents.Source,
+    protocol: Protocol,
+    check: TissueCheck,
+    records: Sequence[Record],
+    *,
+    simulations: int,
+    seed: int,
 ) -> tuple[dict[str, Any], Verdict]:
-    """The document of ``schemas/selfcheck.schema.json``, and the verdict behind it."""
+    """The document of ``schemas/selfcheck.schema.json``, and the verdict behind it.
+
+    ``simulations``, ``seed``: as they were asked for.
+    """
     verdict = verdict_of(records)
     good = [record for record in records if record.failed is None]
     words = prior_words(
@@ -258,7 +251,7 @@ def check_document(
     )
     return {
         "schema": "tissueid/selfcheck/1",
-        "source": members(asked, documents.Source),
+        "source": plain(source),
         "model": {
             "branches": check.model.branches,
             "stiffness_degree": check.model.stiffness_degree,
@@ -270,11 +263,11 @@ def check_document(
         "protocol": plain(_protocol(protocol)),
         "priors": plain([Prior(name, said, name in check.stated) for name, said in words.items()]),
         "simulations": {
-            "asked": asked.simulations,
+            "asked": simulations,
             "done": len(records),
             "failed": list(verdict.failed),
             "draws": DRAWS,
-            "seed": asked.seed,
+            "seed": seed,
             "sampler": PosteriorOptions().sampler,
             "median_seconds": float(np.median([record.seconds for record in good])),
             "detail": {
