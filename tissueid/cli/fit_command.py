@@ -15,7 +15,7 @@ from tissueid.cli.output import echo, echo_json_text, note, progress_bar
 from tissueid.cli.reading import (
     READING,
     PatternCheck,
-    ReadingFlags,
+    StudyFlags,
     inputs_in_order,
     read_options,
     refuse_same_folder,
@@ -48,7 +48,7 @@ def _moved(_context: click.Context, _option: click.Parameter, value: str | None)
         refuse(f'--contact-law {value}: name 1 model instead, as --model "power * impact"')
 
 
-class _FitFlags(ReadingFlags, OutputFlags):
+class _FitFlags(StudyFlags, OutputFlags):
     # fmt: off
     contact_law: None = option("Moved to --model.", hidden=True, type=str, callback=_moved)
     paths: tuple[str, ...] = argument(required=True, type=PATH)
@@ -98,10 +98,6 @@ class _FitFlags(ReadingFlags, OutputFlags):
         default="auto",
     )
     mix_states: bool = option("Let a population pool thawed specimens with fresh ones.")
-    study: str | None = option(
-        "Study file. [default: study.toml of the folder that is fitted]", type=PATH, metavar="FILE"
-    )
-    no_study: bool = option("Fit without the folder's study.toml.")
     # numbers that are quoted beside those of the model
     unloading: bool = option("Fit retracts and cycles as well, with the law of contact loss.")
     frequencies: str | None = option(

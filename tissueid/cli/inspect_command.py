@@ -16,7 +16,7 @@ from msgspec import structs
 
 from tissueid.cli.flags import FILE, PATH, PORT, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, echo_json, note, progress_bar, write_output
-from tissueid.cli.reading import ReadingFlags, read_in_order, read_options, segment_options
+from tissueid.cli.reading import StudyFlags, read_in_order, read_options, segment_options
 from tissueid.digits import clock_start, with_error
 from tissueid.documents.inspect import Trial, Watch
 from tissueid.documents.measured import MeasuredHold, MeasuredPush
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 SECONDS_PER_MINUTE = 60.0
 
 
-class _InspectFlags(ReadingFlags, OutputFlags):
+class _InspectFlags(StudyFlags, OutputFlags):
     paths: tuple[str, ...] = argument(required=True, type=PATH)
     html: str | None = option(
         "Write a page that draws every recording, with its flags and the lines of study.toml to change it.",
@@ -39,12 +39,6 @@ class _InspectFlags(ReadingFlags, OutputFlags):
     )
     csv: str | None = option("Write what was measured as a table, one row a hold.", type=FILE)
     xlsx: str | None = option("The same table as a workbook.", type=FILE)
-    study: str | None = option(
-        "Study file whose decisions are followed. [default: study.toml of the folder that is inspected]",
-        type=PATH,
-        metavar="FILE",
-    )
-    no_study: bool = option("Leave the folder's study.toml aside.")
     serve: bool = option(
         "Serve that page on this machine: what is corrected on it is written into study.toml."
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from tissueid.cli.completion_command import readers
-from tissueid.cli.flags import Flags, option
+from tissueid.cli.flags import PATH, Flags, option
 from tissueid.cli.output import echo
 from tissueid.errors import InputError, refuse
 
@@ -76,6 +76,17 @@ class ReadingFlags(Flags):
     exclude: tuple[str, ...] = option(
         "Leave out recordings whose path, file, sheet or specimen fits (* and ? allowed).", metavar="PATTERN"
     )
+
+
+class StudyFlags(ReadingFlags):
+    """The same, and the study file whose decisions are followed."""
+
+    study: str | None = option(
+        "Study file whose decisions are followed. [default: study.toml of the folder that is named]",
+        type=PATH,
+        metavar="FILE",
+    )
+    no_study: bool = option("Leave the folder's study.toml aside.")
 
 
 def _pairs(text: str | None, flag: str) -> dict[str, str]:

@@ -9,7 +9,7 @@ import click
 
 from tissueid.cli.flags import FOLDER, PATH, REAL_FROM_0, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import EXIT_INCOMPLETE, echo, note, progress_bar, tell
-from tissueid.cli.reading import ReadingFlags, read_all, read_options, refuse_same_folder, segment_options
+from tissueid.cli.reading import StudyFlags, read_all, read_options, refuse_same_folder, segment_options
 from tissueid.documents import typed
 from tissueid.documents.rupture import Rupture, Speed
 from tissueid.rupture_law import CRITERIA
@@ -23,7 +23,7 @@ ASKED = ("none", "auto", *CRITERIA)
 S_PER_MIN = 60.0
 
 
-class _RuptureFlags(ReadingFlags, OutputFlags):
+class _RuptureFlags(StudyFlags, OutputFlags):
     paths: tuple[str, ...] = argument(required=True, type=PATH)
     out: str = option("Folder to write to.", "-o", required=True, type=FOLDER)
     criterion: str = option(
@@ -33,8 +33,6 @@ class _RuptureFlags(ReadingFlags, OutputFlags):
     )
     weight: float = option("w of the weighted force F_s + w F_d.", type=REAL_FROM_0, default=1.5)
     model: str | None = option("Law of the tissue, as of tissueid fit.", metavar="NAME")
-    study: str | None = option("Study file, where not the folder's own.", type=PATH, metavar="FILE")
-    no_study: bool = option("Without the folder's study.toml.")
 
 
 @subcommand(

@@ -18,7 +18,7 @@ import click
 from tissueid.cli.flags import FOLDER, PATH, OutputFlags, argument, option, subcommand
 from tissueid.cli.inspect_command import COLOURS, recording_lines
 from tissueid.cli.output import draw, echo, echo_json_text, made_folder, note
-from tissueid.cli.reading import ReadingFlags, read_options, segment_options
+from tissueid.cli.reading import StudyFlags, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents import plain
 from tissueid.documents.inspect import Watch
@@ -36,7 +36,7 @@ SHORTEST_INTERVAL_S = 0.05
 LOOKS = 2
 
 
-class _WatchFlags(ReadingFlags, OutputFlags):
+class _WatchFlags(StudyFlags, OutputFlags):
     # fmt: off
     folder: str = argument(type=PATH)
     out: str | None = option("Folder for watch.jsonl, from which a later watch goes on.", "-o", type=FOLDER)
@@ -52,11 +52,6 @@ class _WatchFlags(ReadingFlags, OutputFlags):
         "--fit/--no-fit", default=False,
     )
     bell: bool = option("Ring the terminal's bell after each test, twice where it must be repeated.")
-    study: str | None = option(
-        "Study file whose decisions are followed. [default: study.toml of the folder]",
-        type=PATH, metavar="FILE",
-    )
-    no_study: bool = option("Leave the folder's study.toml aside.")
     # fmt: on
 
 
