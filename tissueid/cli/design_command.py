@@ -23,6 +23,7 @@ from tissueid.cli.output import (
 )
 from tissueid.documents.design import Design, Protocol
 from tissueid.errors import NotIdentifiedError, refuse
+from tissueid.report.wording import time_words
 
 if TYPE_CHECKING:
     from tissueid.design.machine import Machine
@@ -236,16 +237,8 @@ def _write(out: Path, plan: Plan, machine: Machine, tissues: Tissues, asked: Ask
 
 
 _SHORT = {"relaxation_time_s": "tau", "viscosity_N_s_per_mm": "eta", "stiffness_0_N_per_mm": "K"}
-MINUTE, HOUR = 60.0, 3600.0
 #: Limits that are printed; the page has them all.
 PRINTED_LIMITS = 5
-
-
-def time_words(seconds: float) -> str:
-    """``35 min`` or ``2.4 h``."""
-    if seconds < 2.0 * MINUTE:
-        return f"{seconds:.0f} s"
-    return f"{seconds / MINUTE:.1f} min" if seconds < 2.0 * HOUR else f"{seconds / HOUR:.2f} h"
 
 
 def short_name(name: str) -> str:

@@ -9,16 +9,7 @@ from tissueid.digits import number
 from tissueid.documents.design import Design, Front, Protocol
 from tissueid.report.page import render_page
 from tissueid.report.parts import DASHED, LOG_BOTH, Figure, trace
-from tissueid.report.wording import Verdict, parameter_words, percent
-
-MINUTE, HOUR = 60.0, 3600.0
-
-
-def _time(seconds: float) -> str:
-    """``35 min`` or ``2.4 h``."""
-    if seconds < 2.0 * MINUTE:
-        return f"{number(seconds, 2)} s"
-    return f"{number(seconds / MINUTE, 3)} min" if seconds < 2.0 * HOUR else f"{number(seconds / HOUR, 3)} h"
+from tissueid.report.wording import MINUTE, Verdict, parameter_words, percent, time_words
 
 
 def _percent(share: float) -> str:
@@ -37,19 +28,19 @@ def _verdict(document: Design) -> Verdict:
     wanted = _reached(best, "wanted")
     if document.verdict.reached:
         said = (
-            f"{best.logs} logs in {_time(best.seconds)} of machine time a specimen give {wanted}: "
+            f"{best.logs} logs in {time_words(best.seconds)} of machine time a specimen give {wanted}: "
             f"{_indentations(best)}, at {best.setting.words}."
         )
         given = document.against
         if given is not None and given.protocol is not None:
             other = given.protocol
             met = "reaches" if other.reached else "does not reach"
-            said += f" {given.name} takes {_time(other.seconds)} and {met} that."
+            said += f" {given.name} takes {time_words(other.seconds)} and {met} that."
         return Verdict("ok", "Within reach", said)
     return Verdict(
         "serious",
         "None on this machine",
-        f"No protocol that {machine} can run within {_time(document.asked.budget_s)} gives {wanted}. "
+        f"No protocol that {machine} can run within {time_words(document.asked.budget_s)} gives {wanted}. "
         f"The nearest gives {_reached(best, 'assured')}.",
     )
 
@@ -108,7 +99,7 @@ def render_design(document: Design, *, created: str | None = None) -> str:
         best=document.protocols[0],
         verdict=_verdict(document),
         protocols=[*enumerate(document.protocols, 1), *named],
-        time=_time,
+        time=time_words,
         share=_percent,
         figures=[_figure(document, want) for want in range(len(document.asked.wants))],
         created=created,

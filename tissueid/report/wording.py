@@ -18,6 +18,7 @@ from tissueid.flags import FLAGS, Flag, flag_level, harm_rank
 from tissueid.quantity_words import QUANTITIES
 from tissueid.trial import Axes
 
+MINUTE, HOUR = 60.0, 3600.0
 #: From harmless to grave.
 LEVELS = ("ok", "note", "caution", "serious")
 
@@ -87,6 +88,13 @@ def reach(ends: Iterable[float], digits: int = 3) -> str:
 def percent(share: float, digits: int = 3) -> str:
     """A share in percent, without the sign."""
     return number(100.0 * share, digits)
+
+
+def time_words(seconds: float) -> str:
+    """``35.0 min`` or ``2.40 h``."""
+    if seconds < 2.0 * MINUTE:
+        return f"{number(seconds, 2)} s"
+    return f"{number(seconds / MINUTE, 3)} min" if seconds < 2.0 * HOUR else f"{number(seconds / HOUR, 3)} h"
 
 
 def depth_words(depth_mm: float, units: Units) -> str:
