@@ -238,14 +238,3 @@ def test_fits_killed_at_random_moments_leave_the_old_run_or_the_new(two_runs, tm
     assert same_run(out, written[0])
     assert len(list((out / ".runs").iterdir())) == 1
     assert not list(out.glob(".tmp-*"))
-
-
-def test_a_killed_fit_into_a_new_folder_leaves_no_half_result(two_runs, tmp_path):
-    (log, written, _), out = two_runs, tmp_path / "out"
-    with start("fit", log, "-o", out, "-q", *RUNS[1]) as process:
-        until((out / ".runs").exists)
-        process.kill()
-    assert run("validate", out).code == 6
-    assert not (out / "identification.json").exists()
-    run("fit", log, "-o", out, "-q", *RUNS[1], code={0, 4})
-    assert same_run(out, written[1])
