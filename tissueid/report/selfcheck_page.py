@@ -10,25 +10,14 @@ from markupsafe import Markup
 from tissueid.documents.selfcheck import Parameter, SelfCheck
 from tissueid.report.page import render_page
 from tissueid.report.parts import DASHED, Figure, band, trace
-from tissueid.report.wording import Verdict, parameter_words
-
-_OWN_WORDS = {
-    "sigma_N": "Noise, standard deviation",
-    "phi": "Noise, correlation over one step",
-    "gain_sd": "Spread of the logs' ln gains",
-    "force_gain": "Gain of the force channel",
-    "displacement_gain": "Gain of the displacement channel",
-    "skew_s": "Force later than displacement [s]",
-    "force_filter_s": "Time constant of the force filter [s]",
-    "frame_compliance_mm_per_N": "Compliance of the frame [mm/N]",
-}
+from tissueid.report.wording import Verdict, nuisance_words
 
 
 def _words(name: str) -> str:
     """A checked number in plain words."""
     if name.startswith("force_N at "):
         return f"Force {name.removeprefix('force_N ')}"
-    return _OWN_WORDS.get(name) or parameter_words(name)
+    return nuisance_words(name)
 
 
 def _verdict(document: SelfCheck) -> Verdict:

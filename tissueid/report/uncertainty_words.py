@@ -34,19 +34,6 @@ SOURCES = (
     *("noise", "scatter between logs", "contact points"),
     *("force gain", "displacement gain", "time skew", "force filter", "frame"),
 )
-_NUISANCE_WORDS: Mapping[str, str] = {
-    "force_gain": "Gain of the force",
-    "displacement_gain": "Gain of the displacement",
-    "skew_s": "Time skew of the force [s]",
-    "force_filter_s": "Filter of the force [s]",
-    "frame_compliance_mm_per_N": "Compliance of the frame [mm/N]",
-    "sigma_N": "Standard deviation of the noise [N]",
-    "ln_sigma": "Noise, ln of its standard deviation [N]",
-    "phi": "Correlation of the noise",
-    "gain_sd": "Scatter of the gain between logs",
-    "ln_gain_sd": "Scatter of the gain between logs, ln",
-    **{f"ln_relaxation_time_{k}": f"Relaxation time of branch {k}, ln [s]" for k in (1, 2, 3)},
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +201,7 @@ def _prior_rows(specimen: Specimen) -> list[dict[str, Any]]:
         rows.append(
             {
                 "of": row,
-                "words": _NUISANCE_WORDS.get(row.name) or wording.parameter_words(row.name),
+                "words": wording.nuisance_words(row.name),
                 "posterior": f"{after} ± {error}",
                 "width": 100 * min(max(shrinkage or 0.0, 0.0), 1.0),
                 "shrinkage": "–" if shrinkage is None else f"{100 * shrinkage:.0f} %".replace("-", "−"),

@@ -140,6 +140,26 @@ def parameter_words(name: str) -> str:
     return f"{words}, branch {branch}" if branch else words
 
 
+_NUISANCE_WORDS: Mapping[str, str] = {
+    "force_gain": "Gain of the force",
+    "displacement_gain": "Gain of the displacement",
+    "skew_s": "Force later than displacement [s]",
+    "force_filter_s": "Time constant of the force filter [s]",
+    "frame_compliance_mm_per_N": "Compliance of the frame [mm/N]",
+    "sigma_N": "Standard deviation of the noise [N]",
+    "ln_sigma": "Noise, ln of its standard deviation [N]",
+    "phi": "Correlation of the noise over one step",
+    "gain_sd": "Scatter of the gain between logs",
+    "ln_gain_sd": "Scatter of the gain between logs, ln",
+    **{f"ln_relaxation_time_{k}": f"Relaxation time of branch {k}, ln [s]" for k in (1, 2, 3)},
+}
+
+
+def nuisance_words(name: str) -> str:
+    """Name of a parameter, be it of the tissue, the noise or the machine, in plain words."""
+    return _NUISANCE_WORDS.get(name) or parameter_words(name)
+
+
 #: Residual as a share of the force range from which a verdict is no better than this.
 _LEFT = ((0.0, "ok"), (0.02, "caution"), (0.05, "serious"))
 _TITLES: Mapping[str, str] = {
