@@ -129,7 +129,7 @@ def found_in(path: str, item: Trial | InputError) -> RecordingRow:
     return RecordingRow(path, where.sheet, where.sha256, name, int(item.time_s.size), "trial", name)
 
 
-def look_into(file: NamedFile, recent: RecentTrials | None = None) -> list[RecordingRow] | None:
+def look_into(file: NamedFile, recent: RecentTrials | None) -> list[RecordingRow] | None:
     """Everything a file holds, as it was read; ``None`` where it is the file that was known."""
     # of a file that can't be opened the reader says what is wrong
     with suppress(OSError):
@@ -143,10 +143,10 @@ def look_into(file: NamedFile, recent: RecentTrials | None = None) -> list[Recor
     return found
 
 
-def survey_files(payload: bytes) -> bytes:
+def survey_files(payload: bytes, recent: RecentTrials | None = None) -> bytes:
     """The task: a list of :class:`NamedFile` in, a list of (position, what each holds) out."""
     files: Sequence[NamedFile] = unpacked(payload)
-    return packed([(file.position, look_into(file)) for file in files])
+    return packed([(file.position, look_into(file, recent)) for file in files])
 
 
 def reading_key(options: ReadOptions, study: Study | None) -> str:
@@ -236,9 +236,7 @@ class Inventory:
         crew = workplace.workforce(
             -(-len(waiting) // files),
             expected,
-            lambda _what, payload: packed(
-                [(one.position, look_into(one, recent)) for one in unpacked(payload)]
-            ),
+            lambda _what, payload: survey_files(payload, recent),
             asked=False,
         )
         tasks, alone = {}, deque[int]()
