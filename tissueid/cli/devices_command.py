@@ -22,7 +22,6 @@ from tissueid.documents.devices import Info
 from tissueid.errors import DeviceError, refuse
 
 if TYPE_CHECKING:
-    from tissueid.cli.render_command import RenderFlags
     from tissueid.haptics.device import AskedDevice, HapticDevice
 
 HANDS_OFF = (
@@ -83,7 +82,7 @@ def made_device(
     return device
 
 
-def asked_device(flags: WayFlags | RenderFlags, *, hands_off: bool = False) -> AskedDevice:
+def asked_device(flags: WayFlags, *, hands_off: bool = False) -> AskedDevice:
     """Options of the way to a device, of those on the command line."""
     from tissueid.haptics.device import AskedDevice
 

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.completion_command import presets, scenes
-from tissueid.cli.flags import ABOVE_0, BUNDLE, PATH, argument, option, subcommand
+from tissueid.cli.devices_command import WayFlags, asked_device
+from tissueid.cli.flags import ABOVE_0, BUNDLE, argument, option, subcommand
 from tissueid.cli.output import draw, echo, echo_json, note, progress_bar
 from tissueid.cli.view_command import ViewerFlags, served, telling_stop
 from tissueid.errors import DeviceError, exit_code, refuse
@@ -41,7 +42,7 @@ _ALIKE = (
 DEMONSTRATED = "paper-a"
 
 
-class RenderFlags(ViewerFlags):
+class RenderFlags(WayFlags, ViewerFlags):
     """Everything that a session is asked for with."""
 
     # fmt: off
@@ -87,9 +88,6 @@ class RenderFlags(ViewerFlags):
     name: str = option(
         "auto, or one of tissueid devices list.", "--device", default="auto", metavar="NAME"
     )
-    firmware: str | None = option("Firmware of a Falcon without any.", type=PATH, metavar="FILE")
-    port: str | None = option("Serial port of a Falcon instead of USB.", metavar="PATH")
-    calibration: str | None = option("Calibration of a Falcon.", type=PATH, metavar="FILE")
     script: str | None = option("Strokes of the simulated grip, see docs/render.md.")
     seconds: float | None = option("End after this time; else with Ctrl-C.", metavar="S")
     virtual: bool = option("Run a script as fast as it can be computed.")
@@ -229,7 +227,6 @@ def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedVi
 
 
 def _asked(flags: RenderFlags) -> RenderOptions:
-    from tissueid.cli.devices_command import asked_device
     from tissueid.haptics.registry import configured
     from tissueid.rendering.options import RenderOptions
 
