@@ -25,7 +25,7 @@ from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.specimen import FitOptions
 from tissueid.ingest import read_trials
 from tissueid.model.base import ContactPath
-from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.model.grammar import rebuilt
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.reproduce.published import (
     OVERLAPS,
@@ -413,13 +413,8 @@ def held_out_errors(fits: Sequence[SpecimenFit]) -> FloatArray:
 def _predicted(fits: Sequence[SpecimenFit], left_out: int, curve: Curve) -> FloatArray:
     """Mean over the other specimens of the force of each on a path [N]."""
     path = ContactPath(curve.time_s, np.maximum(curve.depth_mm, 0.0))
-    forces = [
-        kelvin_voigt(
-            branches=fit.model.branches, stiffness_degree=fit.model.stiffness_degree, depth_mm=fit.depth_mm
-        ).force(fit.theta, path)
-        for k, fit in enumerate(fits)
-        if k != left_out
-    ]
+    others = [fit for k, fit in enumerate(fits) if k != left_out]
+    forces = [rebuilt(fit.model, fit.depth_mm).force(fit.theta, path) for fit in others]
     return np.asarray(np.mean(forces, axis=0))
 
 
