@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from functools import cache
 from importlib.metadata import PackageNotFoundError, entry_points, version
 from importlib.util import find_spec
 from typing import Any
@@ -27,11 +28,14 @@ def installed(library: str) -> bool:
 
 def versions(libraries: Iterable[str]) -> dict[str, str]:
     """Versions of those libraries that are installed."""
-    found = {}
-    for name in libraries:
-        with suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found
+    return {name: found for name in libraries if (found := _version(name)) is not None}
+
+
+@cache
+def _version(name: str) -> str | None:
+    with suppress(PackageNotFoundError):
+        return version(name)
+    return None
 
 
 def faults_of(group: str, take: Callable[[Any], None]) -> dict[str, tuple[str, str]]:

@@ -68,7 +68,7 @@ def test_a_document_of_another_version_is_refused_with_its_place_and_a_way_out(t
     write(tmp_path, "old")
     path = tmp_path / "identification.json"
     path.write_text(path.read_text().replace('"selection": ', '"model_comparison": [], "selection": ', 1))
-    with pytest.raises(BundleError, match=r"/specimens/0: .*'model_comparison'.*; run `tissueid fit` again$"):
+    with pytest.raises(BundleError, match=r"/specimens/0: .*`model_comparison`; run `tissueid fit` again$"):
         load_identification(path)
 
 

@@ -65,19 +65,22 @@ FLAG_SCHEMA: JsonSchema = {
 _T = TypeVar("_T")
 
 
-def typed(document: Any, kind: type[_T]) -> _T:
+def typed(document: Any, kind: type[_T], *, known: bool = False) -> _T:
     """Read a document that was parsed, or that is about to be written, as its type.
 
     ``document``: plain dicts, lists and values; ``kind``: a record of this package, or tuples and mappings of
-    such.  Raises msgspec.ValidationError: it is none, with the place.
+    such; ``known``: of this version, so that no flag has a code of a later one.  Raises
+    msgspec.ValidationError: it is none, with the place.
     """
-    return msgspec.convert(document, kind, dec_hook=_flag)
+    return msgspec.convert(document, kind, dec_hook=_known_flag if known else _flag)
 
 
 def _flag(kind: type[Any], document: Any) -> Any:
-    if kind is Flag and isinstance(document, Mapping):
-        return Flag.read(document)
-    raise NotImplementedError(f"a document holds no {kind.__name__}")
+    if kind is not Flag:
+        raise NotImplementedError(f"a document holds no {kind.__name__}")
+    if not isinstance(document, Mapping) or not {"code", "message"} <= document.keys():
+        raise ValueError("a flag has a code and a message")
+    return Flag.read(document)
 
 
 def plain(document: Any) -> Any:
@@ -105,3 +108,19 @@ def _members(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} has no place in JSON: {value!r}")
+
+
+def _known_flag(kind: type[Any], document: Any) -> Any:
+    flag = _flag(kind, document)
+    if flag.code not in FLAGS:
+        raise ValueError(f"there is no flag {flag.code!r}")
+    if not isinstance(flag.message, str) or not all(map(_plain, flag.values.values())):
+        raise ValueError("a flag has a sentence and plain values")
+    return flag
+
+
+def _plain(value: Any) -> bool:
+    """True of a number, a text, a truth value, null, and a list of such."""
+    return all(
+        isinstance(one, str | int | float | None) for one in (value if isinstance(value, list) else [value])
+    )

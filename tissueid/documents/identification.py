@@ -91,6 +91,16 @@ class Estimate(Document, frozen=True):
     #: logs; null where too few logs show how much sites differ
     prediction95: tuple[float, float] | None = None
 
+    def __post_init__(self) -> None:
+        """Refuse what :attr:`RULES` refuse."""
+        sampled = (self.mean, self.sd, self.ci95, self.ci95_total, self.ess_bulk, self.ess_tail, self.r_hat)
+        if self.identified and self.value is None:
+            raise ValueError(f"{self.name} is identified and has no value")
+        if not self.identified and any(one is not None for one in sampled):
+            raise ValueError(f"{self.name} is not identified and has numbers of a posterior")
+        if not self.identified and self.value is not None and "withheld" not in self.detail:
+            raise ValueError(f"{self.name} is not identified and has a value")
+
 
 class TipGeometry(Document, frozen=True):
     """Shape of the tip, where it was stated; without it nothing is known of the shape."""
@@ -226,10 +236,8 @@ class Optimisers(Document, frozen=True, forbid_unknown_fields=False):
     method: str | None = None
 
 
-class Selection(Document, frozen=True, forbid_unknown_fields=False):
+class Selection(Document, frozen=True):
     """A candidate model and its held-out score: log predictive density less the best's; larger is better."""
-
-    RULES: ClassVar[JsonSchema] = {"additionalProperties": {"type": ["number", "string", "boolean", "null"]}}
 
     branches: Annotated[int, Meta(ge=0, le=12)]
     stiffness_degree: Literal[0, 1, 2]

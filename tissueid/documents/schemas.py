@@ -19,8 +19,10 @@ from tissueid.documents.base import FLAG_SCHEMA
 from tissueid.flags import Flag
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
+#: Mark of a document that is a list.
+LIST = "*"
 #: Root type of every schema, as MODULE.TYPE of this package; where several are given, a document is one of
-#: them, and those behind a star are the items of a list.
+#: them, and those behind :data:`LIST` are its items.
 ROOTS: Mapping[str, str] = {
     "bundle": "folder.Bundle",
     "contrast": "contrast.Contrast",
@@ -54,6 +56,12 @@ _REFERENCE = "#/$defs/{name}"
 _FLAG = "#/$defs/flag"
 
 
+def kinds_of(name: str) -> list[type[Any]]:
+    """Types of which a document is one, or each element of it; ``name``: a key of :data:`ROOTS`."""
+    places = [one.rpartition(".") for one in ROOTS[name].removeprefix(LIST).split()]
+    return [getattr(import_module(f"tissueid.documents.{module}"), kind) for module, _, kind in places]
+
+
 def schema_of(name: str) -> dict[str, Any]:
     """JSON Schema (2020-12) of a document.
 
@@ -62,9 +70,7 @@ def schema_of(name: str) -> dict[str, Any]:
     head: dict[str, Any] = {"$schema": DIALECT, "$id": f"{name}.schema.json"}
     if name == "flag":
         return {**head, "title": "One remark about a recording or a fit", **FLAG_SCHEMA}
-    named = ROOTS[name]
-    places = [one.rpartition(".") for one in named.removeprefix("*").split()]
-    roots = [getattr(import_module(f"tissueid.documents.{module}"), kind) for module, _, kind in places]
+    roots = kinds_of(name)
     outer, components = msgspec.json.schema_components(
         roots, ref_template=_REFERENCE, schema_hook=_flag_reference
     )
@@ -83,7 +89,7 @@ def schema_of(name: str) -> dict[str, Any]:
     body: dict[str, Any] = {"oneOf": references}
     if len(roots) == 1:
         body = definitions.pop(references[0]["$ref"].rpartition("/")[2])
-    if named.startswith("*"):
+    if ROOTS[name].startswith(LIST):
         body = {"type": "array", "items": body}
     return {**head, **body, **({"$defs": definitions} if definitions else {})}
 

@@ -248,7 +248,8 @@ def write_bundle(bundle: Bundle, path: Path | str) -> None:
 def put_bundle(file: Any, bundle: Bundle, *, where: str) -> None:
     """Write a bundle into the root of an open HDF5 file, after the checks that :func:`load_bundle` makes."""
     document = plain(bundle.as_json())
-    _check_contents(bundle, document, where=where)
+    check(document, "bundle", where=where)
+    _check_contents(bundle, where=where)
     arrays = {name: getattr(bundle, name) for name in ARRAYS if getattr(bundle, name) is not None}
     text = json_bytes(document)
     file.attrs["format"] = BUNDLE_FORMAT
@@ -287,7 +288,7 @@ def load_bundle(path: Path | str) -> Bundle:
         raise BundleError(f"{path}: its document is not JSON ({error}); run `tissueid fit` again") from error
     check(document, "bundle", where=str(path))
     bundle = bundle_of_document(document, arrays)
-    _check_contents(bundle, document, where=str(path))
+    _check_contents(bundle, where=str(path))
     return bundle
 
 
@@ -334,8 +335,7 @@ def bundle_of_document(document: Mapping[str, Any], arrays: Mapping[str, FloatAr
     )
 
 
-def _check_contents(bundle: Bundle, document: Mapping[str, Any], *, where: str) -> None:
-    check(document, "bundle", where=where)
+def _check_contents(bundle: Bundle, *, where: str) -> None:
     from tissueid.model.grammar import MISSING_LAW
 
     problem = array_problem(bundle) or model_problem(bundle)

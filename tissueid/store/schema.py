@@ -1,4 +1,4 @@
-"""The JSON Schemas: where they are found, and the one check every document goes through.
+"""The JSON Schemas: where they are found, and the checks that documents go through.
 
 They live in ``schemas/`` of the repository and travel in the wheel as ``tissueid/schemas``; an editable
 install has no copy in the package, so the checkout beside it is asked second.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -16,7 +17,10 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tissueid.documents.schemas import ROOTS
+import msgspec
+
+from tissueid.documents.base import typed
+from tissueid.documents.schemas import LIST, ROOTS, kinds_of
 from tissueid.errors import BundleError
 
 if TYPE_CHECKING:
@@ -91,13 +95,26 @@ def first_problem(document: Any, name: str) -> SchemaProblem | None:
     return SchemaProblem(_pointer(tuple(error.absolute_path)), error.message[:_LONGEST_MESSAGE] + cut)
 
 
+def _problem_of_types(document: Any, name: str) -> SchemaProblem | None:
+    """Find the first way in which a document breaks its types, which the schemas are made from."""
+    kinds = kinds_of(name)
+    if len(kinds) > 1 or ROOTS[name].startswith(LIST):
+        return first_problem(document, name)
+    try:
+        typed(document, kinds[0], known=True)
+    except msgspec.ValidationError as error:
+        words, _, place = str(error).partition(" - at `$")
+        return SchemaProblem(re.sub(r"[.\[]([^.\[\]]+)\]?", r"/\1", place.rstrip("`")), words)
+    return _non_finite(document)
+
+
 def check(document: Any, name: str, *, where: str = "", way_out: str = "") -> None:
-    """Refuse a document that breaks its schema.
+    """Refuse a document that breaks its types; people's own files are held against the whole schema.
 
     ``where``: file or stage the document came from, for the message; ``way_out``: its end.  Raises
     BundleError: naming the JSON pointer of the first problem.
     """
-    problem = first_problem(document, name)
+    problem = _problem_of_types(document, name)
     if problem is not None:
         prefix = f"{where}: " if where else ""
         suffix = f"; {way_out}" if way_out else ""

@@ -12,7 +12,7 @@ import re
 import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from xml.sax.saxutils import escape
+from html import escape
 
 from tissueid.errors import printable
 
@@ -33,7 +33,6 @@ _MAIN = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
 _LINKS = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
 _PACKAGE = "http://schemas.openxmlformats.org/package/2006"
 _KIND = "application/vnd.openxmlformats-officedocument.spreadsheetml"
-_QUOTES = {'"': "&quot;"}
 #: Two formats of a cell: plain, and the bold of a head.
 _STYLES = (
     f'{_HEAD}<styleSheet xmlns="{_MAIN}"><fonts count="2"><font><sz val="11"/><name val="Calibri"/></font>'
@@ -65,8 +64,7 @@ def xlsx_bytes(sheets: Sequence[Sheet]) -> bytes:
         raise ValueError("a workbook needs a sheet")
     names, numbers = _names([sheet.name for sheet in sheets]), range(1, len(sheets) + 1)
     listed = "".join(
-        f'<sheet name="{escape(name, _QUOTES)}" sheetId="{k}" r:id="rId{k}"/>'
-        for k, name in enumerate(names, 1)
+        f'<sheet name="{escape(name)}" sheetId="{k}" r:id="rId{k}"/>' for k, name in enumerate(names, 1)
     )
     members = {
         "[Content_Types].xml": _content_types(numbers),
@@ -149,7 +147,7 @@ def _row(number: int, values: Iterable[Cell], style: str = "") -> str:
 
 def _cell(value: Cell, own: str) -> str:
     if isinstance(value, str):
-        text = escape(_NOT_IN_XML.sub("", printable(value))[:_CELL_LENGTH])
+        text = escape(_NOT_IN_XML.sub("", printable(value))[:_CELL_LENGTH], quote=False)
         return f'<c t="inlineStr"{own}><is><t xml:space="preserve">{text}</t></is></c>'
     if isinstance(value, bool):
         return f'<c t="b"{own}><v>{int(value)}</v></c>'
