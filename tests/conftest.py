@@ -61,7 +61,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 #: Folders and files whose system tests compute for long what tests of other files run too.
-UNTRACED = {"bench", "contrast", "design", "inference", "library", "pipeline", "population", "selfcheck"}
+UNTRACED = {"bench", "contrast", "design", "inference", "ingest", "library", "measured", "model", "pipeline"}
+UNTRACED |= {"population", "reproduce", "rupture", "segment", "selfcheck", "study", "synth"}
 UNTRACED |= {"test_cli_laws", "test_cli_populations", "test_cli_real", "test_report_page"}
 
 
