@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from cohort_factory import COORDINATES, TYPICAL, lkj_factor, normal_stage, plain_design
+from scipy.stats import binom
 
 from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.specimen import FitOptions
@@ -20,7 +21,6 @@ from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.population.members import Member, stage_one
 from tissueid.population.sampler import SamplerOptions, sample_population
 from tissueid.priors import PopulationPriors, Priors, SpreadPrior
-from tissueid.selfcheck.verdicts import binomial_interval
 from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe
 from tissueid.synth.simulate import as_trials, simulate
 
@@ -190,5 +190,5 @@ def holds_the_truth(seed: int) -> np.ndarray:
 def test_intervals_of_means_and_spreads_cover_in_200_cohorts():
     held = np.array([holds_the_truth(seed) for seed in range(DRAWN)]).sum(axis=0)
     # 99 % for fourteen numbers together
-    low, high = binomial_interval(DRAWN, 0.95, 0.01 / (2 * SIZE))
+    low, high = binom.interval(1.0 - 0.01 / (2 * SIZE), DRAWN, 0.95)
     assert ((low <= held) & (held <= high)).all(), held

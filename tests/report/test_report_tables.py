@@ -329,7 +329,8 @@ def test_what_is_not_identified_has_no_number_and_shares_a_row_by_kind():
     document = specimen_of(fit)
     for entry in document["parameters"]:
         if entry["name"].startswith("static"):
-            entry |= {"identified": False, "value": None, "ci95": None, "ci95_total": None}
+            of_draws = ("mean", "sd", "ci95", "ci95_total", "ess_bulk", "ess_tail", "r_hat")
+            entry |= {"identified": False, **dict.fromkeys(("value", *of_draws))}
     (static,) = [row for row in paper_view(document)["rows"] if row.words == "Static"]
     assert (static.symbols, static.value) == (("a1", "a2", "a3"), "not identified")
 
