@@ -119,6 +119,16 @@ def test_silence_and_damage_reach_the_watchdogs(engaged, answer, fault):
     assert engaged.fault is fault
 
 
+@pytest.mark.parametrize(("readings", "fault"), [(9, Fault.NONE), (10, Fault.BAD_PACKETS)])
+def test_a_place_that_is_no_number_is_a_damaged_reading(engaged, readings, fault):
+    engaged.position[1] = np.nan
+    for _ in range(readings):
+        assert not engaged.read().valid
+    engaged.position[1] = 0.0
+    engaged.read()
+    assert engaged.fault is fault
+
+
 def test_ending_the_interpreter_sends_zero_force():
     program = (
         "from fake_device import FakeDevice\n"

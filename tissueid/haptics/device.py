@@ -13,7 +13,7 @@ import signal
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self, final
@@ -247,9 +247,13 @@ class HapticDevice(ABC):
         """Read the device without its watchdogs, for a loop with its own; DeviceError, and FAULT, if lost."""
         self._must_be_open()
         try:
-            return self._read()
+            sample = self._read()
         except (OSError, DeviceError) as error:
             raise self._lost(error) from error
+        if sample.valid and not np.isfinite(sample.position_m).all():
+            # a place that is none would stay in every filter behind it
+            return replace(sample, valid=False, damaged=sample.damaged + 1)
+        return sample
 
     @final
     def read(self) -> DeviceSample:
