@@ -9,8 +9,9 @@ import subprocess
 import sys
 from dataclasses import replace
 from importlib.metadata import EntryPoint, EntryPoints
+from itertools import count
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import fake_device
 import numba
@@ -31,7 +32,7 @@ from tissueid.haptics.falcon.packets import BUTTON_NAMES
 from tissueid.haptics.forcedimension import device as driver
 from tissueid.haptics.guard import guard, new_guard
 from tissueid.haptics.sim import SimulatedDevice
-from tissueid.haptics.states import State
+from tissueid.haptics.states import Fault, State
 from tissueid.own_process import own_process
 from tissueid.rendering import servo_spawn
 from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
@@ -149,9 +150,10 @@ class Driver:
     """The page's my_driver."""
 
     pushed: tuple[float, ...] | None = None
+    height_m = 0.13
 
     def read(self) -> tuple[list[float], int]:
-        return [0.0, 0.0, 0.13], 4
+        return [0.0, 0.0, self.height_m], 4
 
     def push(self, *force: float) -> None:
         self.pushed = force
@@ -169,7 +171,8 @@ def test_plug_in_of_the_page_runs_behind_the_guard(monkeypatch):
     (block,) = re.findall(r"^```python\n(.*?)^```$", PAGE, flags=re.MULTILINE | re.DOTALL)
     found: dict[str, object] = {}
     exec(compile(block, "joystick.py", "exec"), found)
-    kind = found["Joystick"]
+    kind, ticks = found["Joystick"], count()
+    found["time"] = SimpleNamespace(monotonic=lambda: 1e-3 * next(ticks))
     assert isinstance(kind, type)
     assert issubclass(kind, HapticDevice)
     assert [one.where for one in kind.detect()] == ["/dev/input/js0"]
@@ -180,6 +183,17 @@ def test_plug_in_of_the_page_runs_behind_the_guard(monkeypatch):
         assert device.state is State.ARMED
         assert driver.pushed == (0.0, 0.0, 0.0)
         assert device.compiled() is None
+        # a grip that moves is not frozen, without encoders too; one that stands while the force changes is
+        device.engage()
+        for tick in range(2000):
+            driver.height_m = 0.13 - 2e-5 * tick
+            device.read()
+            device.write_force(np.array([0.0, 0.0, 0.1 if tick < 500 else 1.0]), 1e-3)
+        assert (device.fault, driver.pushed) == (Fault.NONE, (0.0, 0.0, 1.0))
+        for _ in range(400):
+            device.read()
+            device.write_force(np.array([0.0, 0.0, 0.5]), 1e-3)
+        assert device.fault is Fault.ENCODER_FROZEN
     assert 'tissueid.devices"]' in PAGE
 
 

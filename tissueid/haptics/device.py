@@ -53,11 +53,20 @@ class DeviceSample:
 
     time_s: float  # CLOCK_MONOTONIC [s], or the device's virtual time
     position_m: FloatArray  # (3,)
-    counts: IntArray  # (3,), encoder counts; zeros where a device has none
+    counts: IntArray  # (3,), encoder counts; :func:`steps_of` its place where a device has none
     buttons: int
     homed: bool
     valid: bool  # whether a whole reply came; without one the other fields repeat the last
     damaged: int = 0  # damaged replies dropped since the last reading
+
+
+#: Step that stands for one encoder count of a device that has none [m].
+STEP_M = 45e-6
+
+
+def steps_of(position_m: FloatArray) -> IntArray:
+    """Steps (3,) of a place (3,) [m] in the stead of counts, by which watchdogs see what moves and stands."""
+    return np.floor(np.asarray(position_m) / STEP_M).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True)

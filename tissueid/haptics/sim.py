@@ -25,6 +25,7 @@ from tissueid.haptics.arm import ARM_MEMORY, HAND_FORCE, POSITION, TIME, Arm, ar
 from tissueid.haptics.device import (
     HOMED,
     REPLY,
+    STEP_M,
     Access,
     Capabilities,
     CompiledIO,
@@ -32,6 +33,7 @@ from tissueid.haptics.device import (
     DeviceSample,
     HapticDevice,
     register,
+    steps_of,
 )
 from tissueid.haptics.guard import REPLY_VALID
 from tissueid.haptics.hand import Hand
@@ -122,7 +124,7 @@ SIMULATED = register(
 
 
 #: One count of a Falcon's encoders is 38 to 48 um at the grip.
-DEFAULT_QUANTUM_M = 45e-6
+DEFAULT_QUANTUM_M = STEP_M
 DEFAULT_PERIOD_S = 1e-3
 #: Centre of the largest sphere a Falcon reaches, and the radius that is used of it [m].
 CENTRE_M = (0.0, 0.0, 0.130)
@@ -317,7 +319,7 @@ class ReplayDevice(HapticDevice):
         return DeviceSample(
             time_s=now,
             position_m=place,
-            counts=np.floor(place / DEFAULT_QUANTUM_M).astype(np.int64),
+            counts=steps_of(place),
             buttons=int(self._buttons[at]),
             homed=True,
             valid=True,

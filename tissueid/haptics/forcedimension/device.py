@@ -30,6 +30,7 @@ from tissueid.haptics.device import (
     DeviceSample,
     HapticDevice,
     declared,
+    steps_of,
 )
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.states import State
@@ -236,10 +237,11 @@ class ForceDimensionDevice(HapticDevice):
         place, status = [c_double() for _ in range(3)], (c_int * STATUS_ENTRIES)()
         sdk.call("dhdGetPosition", *map(byref, place))
         sdk.call("dhdGetStatus", status)
+        position = ROTATION @ [coordinate.value for coordinate in place] + ORIGIN_M
         return DeviceSample(
             time_s=time.monotonic(),
-            position_m=ROTATION @ [coordinate.value for coordinate in place] + ORIGIN_M,
-            counts=np.zeros(3, np.int64),
+            position_m=position,
+            counts=steps_of(position),
             buttons=wire_buttons(int(sdk.library.dhdGetButtonMask(sdk.identity))),
             homed=bool(status[STATUS_RESET]),
             valid=True,

@@ -13,13 +13,11 @@ from numba import types
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel
-from tissueid.haptics.device import HOMED, PRESSED, REPLY, Access, CompiledIO, register
+from tissueid.haptics.device import HOMED, PRESSED, REPLY, STEP_M, Access, CompiledIO, register
 from tissueid.haptics.forcedimension.device import wire_buttons
 from tissueid.haptics.foreign import by_address
 from tissueid.haptics.guard import REPLY_LOST, REPLY_VALID
 
-#: Step that stands for one encoder count [m].
-COUNT_M = 45e-6
 #: ``dhdSetForce`` answers 0 (sent), 1 (too early, the last one holds) or 2 (motors saturated).
 LARGEST_SENT = 2
 
@@ -65,7 +63,7 @@ def _sense(io: ForceDimensionIO, dt: float, position: FloatArray, counts: IntArr
         position[i] = io.origin[i]
         for j in range(3):
             position[i] += io.rotation[i, j] * io.driver[j]
-        counts[i] = math.floor(position[i] / COUNT_M)
+        counts[i] = math.floor(position[i] / STEP_M)
 
 
 @tick_kernel
