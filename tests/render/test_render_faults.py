@@ -24,6 +24,7 @@ from tissueid.haptics.device import ZERO_COMMANDS
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import limits_of
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings, ScriptedFault
+from tissueid.haptics.falcon.emulator import machine as emulator
 from tissueid.haptics.falcon.packets import INVALID, PACKETS
 from tissueid.haptics.guard import GAIN
 from tissueid.haptics.hand import Hand
@@ -221,7 +222,12 @@ def test_a_late_wire_lights_its_lamp_and_lowers_the_force(late_ticks):
             assert session.forces()[-1] == pytest.approx(share * undisturbed().forces()[-1], rel=0.25)
 
 
-def test_lost_answers_now_and_then_are_no_late_wire():
+@pytest.mark.parametrize("at", [0, 6, 15])
+def test_lost_answers_now_and_then_are_no_late_wire(monkeypatch, at):
+    def spoilt(packet):
+        return packet[:at] + bytes([packet[at] ^ 0x20]) + packet[at + 1 :]
+
+    monkeypatch.setitem(emulator.SPOILT, "garbled", spoilt)
     faults = [ScriptedFault("garbled", HOMED_S + 0.3 * k, size=5.0) for k in range(1, 5)]
     with EmulatedSession(*faults) as session:
         session.run(FAULT_S + 0.2)

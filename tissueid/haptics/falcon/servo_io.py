@@ -23,8 +23,8 @@ from tissueid.haptics.states import Lamp
 UNITS_PER_NM, GEOMETRY = 0, 1
 CLIPPED = int(Lamp.CLIPPED)
 #: Flags of a tuple: the transport is gone; damaged replies already reported; commands without an answer;
-#: ticks since one of them was given up, and since an answer came.
-LOST, REPORTED, UNANSWERED, WAITED, SILENT = 0, 1, 2, 3, 4
+#: ticks since one of them was given up, and since an answer came; answers so far, by their bytes.
+LOST, REPORTED, UNANSWERED, WAITED, SILENT, ANSWERED = range(6)
 #: A command whose answer was lost is given up after so many ticks; after a silence that long, all are.
 GIVEN_UP_TICKS, SILENT_TICKS = 1000, 8
 #: Before the first answer no silence is one: a wire may have been late all the time [ticks].
@@ -84,7 +84,7 @@ def _parts(given: CompiledIO) -> FalconParts:
         units_per_Nm=float(given.constants[UNITS_PER_NM]),
         geometry=np.ascontiguousarray(given.constants[GEOMETRY:]),
         parser=np.zeros(packets.PARSER_SIZE, np.int64),
-        flags=np.array([0, 0, 0, 0, -NEVER], np.int64),
+        flags=np.array([0, 0, 0, 0, -NEVER, 0], np.int64),
         word=np.zeros(1, np.int64),
         incoming=np.zeros(READ_BYTES, np.uint8),
         outgoing=np.zeros(packets.PACKET_BYTES, np.uint8),
@@ -155,7 +155,11 @@ def _understand(
             position[i] = parts.grip[i]
     if parts.flags[LOST] != 0:
         words[REPLY] = machine.REPLY_LOST
-    words[WITHOUT_ANSWER] = _unanswered(parts.flags, replies + damaged)
+    # an answer that is damaged anywhere, at its first byte too, is late no more
+    taken = packets.PACKET_BYTES * parts.parser[packets.PACKETS] + parts.parser[packets.DROPPED]
+    answers = (taken + parts.parser[packets.FILLED]) // packets.PACKET_BYTES - parts.flags[ANSWERED]
+    parts.flags[ANSWERED] += answers
+    words[WITHOUT_ANSWER] = _unanswered(parts.flags, answers)
 
 
 @tick_kernel
