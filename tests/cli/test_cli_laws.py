@@ -441,6 +441,7 @@ def test_what_makes_no_sense_is_refused(tmp_path):
         (("--against", deep), "the bundle is claimed to"),
         (("--log", tmp_path / "x.h5"), "leave out --log"),
         (("--preset", "paper-a"), "leave out --preset"),
+        (("--device", "falcon", "--surface", "plane"), "leave out --surface, --device"),
         (("--script", "indent 4 furlongs"), "furlongs"),
     ):
         run("render", bundle, "--twin", "--out", tmp_path / "twin", *asked, code=2, said=words)

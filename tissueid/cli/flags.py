@@ -78,11 +78,19 @@ def subcommand(
         for declare in reversed(list(_declared(kind))):
             declare(called)
         whole = name if group is None else f"{group.name} {name}"
-        typed = (f"tissueid {whole} {example}".rstrip() for example in examples)
+        lines = (f"tissueid {whole} {example}".rstrip() for example in examples)
         make = click.command if group is None else group.command
-        return make(name, epilog=example_lines("\n".join(typed)))(called)
+        return make(name, epilog=example_lines("\n".join(lines)))(called)
 
     return decorate
+
+
+def typed(*fields: str) -> list[str]:
+    """Options of these fields that stand on the command line, as they are written there."""
+    context = click.get_current_context()
+    found = {one.name: one.opts[-1] for one in context.command.params}
+    said = click.core.ParameterSource.COMMANDLINE
+    return [found[name] for name in fields if context.get_parameter_source(name) is said]
 
 
 def example_lines(examples: str) -> str:

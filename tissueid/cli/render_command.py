@@ -15,7 +15,7 @@ import click
 
 from tissueid.cli.completion_command import presets, scenes
 from tissueid.cli.devices_command import WayFlags, asked_device
-from tissueid.cli.flags import ABOVE_0, BUNDLE, argument, option, subcommand
+from tissueid.cli.flags import ABOVE_0, BUNDLE, argument, option, subcommand, typed
 from tissueid.cli.output import draw, echo, echo_json, note, progress_bar
 from tissueid.cli.view_command import ViewerFlags, served, telling_stop
 from tissueid.errors import DeviceError, exit_code, refuse
@@ -38,6 +38,13 @@ _ALIKE = (
     *_CHOICES, "of", "script", "seconds", "environment", "blind", "presentations", "pseudonym", "replay",
     "virtual",
 )  # fmt: skip
+#: Options that mean nothing without another one.
+_PARTS = {
+    "viewer": ("host", "viewer_port", "certificate", "certificate_key"),
+    "bridge": ("bridge_token",),
+    "blind": ("key",),
+    "twin": ("felt", "out"),
+}
 #: What is felt where nothing was asked for.
 DEMONSTRATED = "paper-a"
 
@@ -143,11 +150,10 @@ def command(flags: RenderFlags) -> int:
         from tissueid.cli.twin_lines import twin
 
         return twin(flags)
-    if flags.felt is not None:
-        refuse("--felt is what a test machine recorded at the grip: give --twin and a BUNDLE with it")
     from tissueid.rendering.servo_spawn import spawn_servo
 
     flags = _demonstrated(flags)
+    _must_belong(flags)
     # a servo's process loads while the plan is made; where no clock runs there is none
     waiting = nullcontext() if flags.virtual else closing(spawn_servo())
     if flags.viewer and flags.virtual:
@@ -177,6 +183,15 @@ def _demonstrated(flags: RenderFlags) -> RenderFlags:
     if flags.name == "auto" and not flags.virtual and all(getattr(flags, name) is None for name in tissue):
         return replace(flags, preset=DEMONSTRATED, name="sim", viewer=True)
     return flags
+
+
+def _must_belong(flags: RenderFlags) -> None:
+    """Refuse what would be passed over."""
+    for whole, parts in _PARTS.items():
+        for said in () if getattr(flags, whole) else typed(*parts):
+            refuse(f"{said} is part of --{whole}: add --{whole}, or leave {said} out")
+    if flags.replay is not None and flags.name not in {"auto", "replay"}:
+        refuse("--replay moves in the place of a device: leave --device out")
 
 
 def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedViewer | None) -> Session:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import TYPE_CHECKING
 
+from tissueid.cli.flags import typed
 from tissueid.cli.output import made_folder, note, progress_bar, tell, write_output
 from tissueid.errors import refuse
 
@@ -13,11 +15,11 @@ if TYPE_CHECKING:
     from tissueid.store.bundle import Bundle
     from tissueid.twin import Program
 
-#: Options that a twin has no use for.
-_FOREIGN = (
-    "preset", "draw", "draw_specimen", "quantile", "against_draw", "against_quantile", "environment", "scene",
-    "plan", "replay", "bridge", "log", "pseudonym", "key", "seconds",
-)  # fmt: skip
+#: Options that a twin has a use for.
+_TAKEN = {
+    "bundle", "twin", "against", "script", "felt", "out", "force_scale", "motion_scale", "yes", "no_browser",
+    "quiet", "verbose", "as_json",
+}  # fmt: skip
 #: Program without a recording: pushes at the slowest and the fastest identified speed, held.
 HOLD_S, SLOWEST_MM_S, FALL_BACK_S = 5.0, 0.5, 60.0
 
@@ -32,7 +34,7 @@ def twin(flags: RenderFlags) -> int:
     from tissueid.store.files import json_bytes
     from tissueid.twin import Setup, run_twin, twin_drawing
 
-    said = [f"--{key.replace('_', '-')}" for key in _FOREIGN if getattr(flags, key) is not None]
+    said = typed(*(one.name for one in fields(flags) if one.name not in _TAKEN))
     if said or flags.bundle is None:
         words = f"leave out {', '.join(said)}" if said else "name a BUNDLE"
         refuse(f"--twin takes a bundle, --against RECORDING or --script, and --out: {words}")
