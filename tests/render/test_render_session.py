@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
+import signal
 import subprocess
 import time
 from dataclasses import replace
@@ -108,6 +110,16 @@ def test_a_person_can_end_a_live_session(bundle: Path) -> None:
     assert time.monotonic() - begun < 50.0
     assert outcome.fault is Fault.NONE
     assert outcome.summary["end_state"] in {"armed", "engaged"}
+
+
+def test_a_terminal_that_closes_ends_a_session_in_virtual_time_with_a_whole_log(
+    bundle: Path, tmp_path: Path
+) -> None:
+    plan = plan_session(options(bundle))
+    recorder = Recorder(tmp_path / "out.h5", plan.head)
+    outcome = Session(plan, recorder=recorder, show=lambda *_: os.kill(os.getpid(), signal.SIGHUP)).run()
+    assert outcome.interrupted
+    assert read_session_log(tmp_path / "out.h5").records.size == outcome.summary["ticks"]
 
 
 def test_a_failure_of_our_own_keeps_the_log_whole(bundle: Path, tmp_path: Path) -> None:

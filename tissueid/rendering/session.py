@@ -97,10 +97,11 @@ class Session:
     def run(self) -> Outcome:
         """Run to the end; DeviceError, UsageError or BundleError where the device could not be used."""
         try:
-            if self.plan.virtual:
-                return self._virtual()
-            with first_start(self.plan.device, self._tell) as uncompiled:
-                return self._live(uncompiled=uncompiled)
+            with _signals():
+                if self.plan.virtual:
+                    return self._virtual()
+                with first_start(self.plan.device, self._tell) as uncompiled:
+                    return self._live(uncompiled=uncompiled)
         except BaseException:
             # what was recorded before the device was lost, or we failed, is kept whole
             if self.recorder is not None:
@@ -123,7 +124,7 @@ class Session:
         servo.block.write(self._blocks[0])
         self._watch(servo)
         interrupted = False
-        with _signals(), servo:
+        with servo:
             # asked for before the loop's first ticks are over; the guard waits until it may
             servo.engage()
             try:
