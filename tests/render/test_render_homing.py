@@ -20,7 +20,7 @@ from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import HOMING_STEPS, limits_of
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
 from tissueid.haptics.sim import SimulatedDevice
-from tissueid.rendering import servo_process
+from tissueid.rendering import first_start, servo_process
 from tissueid.rendering.servo import ServoPlan, ServoProcess
 
 #: A busy machine starves an emulator for longer than a device may be silent.
@@ -70,9 +70,12 @@ def test_what_takes_time_is_done_before_homing_and_a_cold_start_says_how_long(
 
     monkeypatch.setattr(SimulatedDevice, "home", noted_home)
     monkeypatch.setattr(servo_process, "compiled_loop", noted_loop)
-    monkeypatch.setattr(servo_process, "is_compiled", lambda: False)
+    monkeypatch.setattr(servo_process, "is_compiled", lambda _: False)
     monkeypatch.setattr(servo_process, "settled", lambda **_: happened.append("memory"))
     pipes.run(ServoPlan("sim", {}, ticks=3))
+    # the loop of one device is no other's
+    assert first_start.is_compiled("SimulatedIO")
+    assert not first_start.is_compiled("AnotherIO")
     assert happened == ["loop of 0", "memory", "home", "loop of 3"]
     assert "10 to 20 s" in pipes.told()
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import subprocess
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,20 +21,31 @@ from tissueid.own_process import own_process
 _SWITCH = "NUMBA_DISABLE_JIT"
 #: Compiling must not take time from the session that runs beside it.
 _NICENESS = 10
-_SIMULATED = "sim"
+_SIMULATED, SIMULATED_IO = "sim", "SimulatedIO"
 FIRST_WORDS = "first start: the loop is being compiled; until then it runs uncompiled and skips ticks"
 LAST_WORDS = "compiling for the next start; Ctrl-C puts it off"
 
 
-def is_compiled() -> bool:
-    """True where the servo's loop lies compiled on the disk, or compiling is switched off."""
+def is_compiled(kind: str = SIMULATED_IO) -> bool:
+    """True where the servo's loop for a kind of device lies compiled on the disk, or is not to be compiled.
+
+    ``kind``: name of the tuple that stands for the device in a loop.
+    """
+    return os.environ.get(_SWITCH, "0") not in {"", "0"} or _mark(kind).exists()
+
+
+def note_compiled(kind: str) -> None:
+    """Note that the loop for a kind of device was compiled, beside the loop itself."""
+    # without a folder of its own nothing lasts
+    with suppress(OSError):
+        _mark(kind).touch()
+
+
+def _mark(kind: str) -> Path:
     from tissueid.rendering import servo_loop
 
-    if os.environ.get(_SWITCH, "0") not in {"", "0"}:
-        return True
     loop: Any = servo_loop.compiled_loop
-    folder = Path(str(loop.stats.cache_path))
-    return any(folder.glob("servo_loop.realtime_loop-*.nbi"))
+    return Path(str(loop.stats.cache_path)) / f"servo_loop.{kind}"
 
 
 @contextmanager
@@ -77,6 +88,7 @@ def compile_loop() -> None:
     with servo_here(device) as (io, servo, _ring, _block):
         device.home()
         compiled_loop(io, servo, new_watch(), np.zeros(BINS + 1, np.int64), 1_000_000, 0)
+        note_compiled(type(io).__name__)
 
 
 if __name__ == "__main__":

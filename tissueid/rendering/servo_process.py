@@ -30,13 +30,13 @@ from tissueid.haptics.ring import Ring
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import FAULT_WORDS, Fault
-from tissueid.rendering.first_start import is_compiled
+from tissueid.rendering.first_start import is_compiled, note_compiled
 from tissueid.rendering.servo import REASONS, ServoEnd, ServoPlan, period_statistics, receive_plan, send_line
 from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
 from tissueid.rendering.servo_schedule import make_punctual, settled
 from tissueid.rendering.servo_tick import MISSED, PythonIO, new_servo
 
-COMPILING = "compiling the servo's loop, 10 to 20 s, once on this machine"
+COMPILING = "compiling the servo's loop, 10 to 20 s, once for this kind of device"
 #: Longest time of one call of a law in Python [s]: until then the motors keep the last force.
 LONGEST_S = 0.05
 
@@ -153,10 +153,14 @@ def run_plan(
             servo = new_servo(device, ring, block)
             histogram = np.zeros(BINS + 1, np.int64)
             watch = new_watch(owner, signals.descriptor, alive_wanted=plan.alive_wanted)
-            if compiled and not is_compiled():
+            # each kind of device has a loop of its own
+            kind = type(io).__name__
+            if compiled and not is_compiled(kind):
                 device.tell(COMPILING)
             # whatever takes time comes before homing: a homed device is not left without commands
             loop(io, servo, watch, histogram, plan.period_ns, 0)
+            if compiled:
+                note_compiled(kind)
             locked = settled(collect=not compiled)
             device.home()
             schedule = make_punctual(locked=locked)
