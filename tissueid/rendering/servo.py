@@ -175,8 +175,8 @@ def send_line(descriptor: int, **words: Any) -> None:
         os.write(descriptor, json.dumps(words).encode() + b"\n")
 
 
-#: Longest time to the first tick without homing [s]: compiling on a slow machine takes half of it.
-START_TIMEOUT_S = 60.0
+#: Longest time to the first tick without homing [s]: compiling on a slow and busy machine takes half of it.
+START_TIMEOUT_S = 180.0
 
 
 class ServoProcess:
