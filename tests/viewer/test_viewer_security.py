@@ -144,12 +144,17 @@ def code_of(connection: ClientConnection) -> int | None:
         return None if closed.rcvd is None else closed.rcvd.code
 
 
-def test_what_is_no_message_closes_with_its_code_and_harms_no_other(capfd):
+def test_what_is_no_message_closes_with_its_code_and_harms_no_other(capfd, caplog):
     with served() as live, greeted(live.ws) as other:
         for message, code in CLOSED:
             with greeted(live.ws) as bad:
                 bad.send(message)
                 assert code_of(bad) == code, message[:60]
+        with greeted(live.ws) as bad:
+            bad.send(b"\xff\xfe", text=True)
+            assert code_of(bad) == 1007
+        # a stranger fills no terminal with what went wrong inside
+        assert caplog.records == []
         live.write(3)
         assert frame_of(other).samples["tick"].tolist()[-1] <= 2
     said = capfd.readouterr().err

@@ -92,6 +92,12 @@ class SparingWebSocket(WebSocketsSansIOProtocol):
         if not self._ended:
             super().data_received(data)
 
+    def send_receive_event_to_app(self) -> None:
+        """Leave text whose bytes are none to the application, which refuses it as no message."""
+        if self.curr_msg_data_type == "text":
+            self.frames = [b"".join(self.frames).decode(errors="replace").encode()]
+        super().send_receive_event_to_app()
+
     def handle_ping(self) -> None:
         """Answer, up to a number a second."""
         now = self.loop.time()
