@@ -64,6 +64,16 @@ def test_a_session_in_virtual_time_is_the_same_every_time(bundle: Path) -> None:
     assert outcomes[0].summary["energy_J"] > 0.0
 
 
+@pytest.mark.needs_jit
+def test_a_push_right_behind_a_switch_is_of_the_other_tissue(bundle: Path, tmp_path: Path) -> None:
+    script = f"{SHORT}; switch; {SHORT}; switch; {SHORT}"
+    plan = plan_session(options(bundle, draw=0, against_draw=2, script=script))
+    Session(plan, recorder=Recorder(tmp_path / "out.h5", plan.head)).run()
+    records = read_session_log(tmp_path / "out.h5").records
+    begins = np.flatnonzero(np.diff((records["depth_mm"] > 0.0).astype(int)) == 1) + 1
+    assert records["label"][begins].tolist() == [0, 1, 0]
+
+
 def test_what_another_program_asks_for_is_taken_over(bundle: Path) -> None:
     session = Session(plan_session(options(bundle, draw=0, against_draw=2)))
     session._obey(BridgeRequest(tissue=1, engage=False))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
 import time
@@ -211,16 +212,17 @@ class Session:
     def _virtual(self) -> Outcome:
         """The same loop without a clock: ticks are computed as fast as they go."""
         device = device_class(self.plan.device)(**self.plan.device_options)
-        interrupted, now, steps = False, 0.0, np.full(VIRTUAL_TICKS, PERIOD_S)
+        interrupted, now, steps = False, 0.0, np.full(self._until_switch(), PERIOD_S)
         with servo_here(device) as (io, servo, ring, block):
             watch, reader = new_watch(), ring.reader(from_start=True)
             block.write(self._blocks[0])
             block.order(COMMAND_ENGAGE)
             try:
                 while virtual_loop(io, servo, watch, now, steps) == ENDED_TICKS and not self._over():
-                    now += VIRTUAL_TICKS * PERIOD_S
+                    now += steps.size * PERIOD_S
                     self._take(reader)
                     self._exchange(block)
+                    steps = np.full(self._until_switch(), PERIOD_S)
             except KeyboardInterrupt:
                 interrupted = True
             self._take(reader)
@@ -232,6 +234,13 @@ class Session:
             remedies=(),
             interrupted=interrupted,
         )
+
+    def _until_switch(self) -> int:
+        """Ticks to compute at a time: a script's switch comes between two of them."""
+        if not self._switches_s:
+            return VIRTUAL_TICKS
+        left = math.ceil((self._switches_s[0] - self.summary.seconds) / PERIOD_S)
+        return min(max(left, 1), VIRTUAL_TICKS)
 
     def _finish(
         self, *, scheduling: str, fault: Fault, message: str, remedies: tuple[str, ...], interrupted: bool
