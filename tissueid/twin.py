@@ -90,7 +90,9 @@ class Program:
 
 
 def program_of_script(script: Script) -> Program:
-    """Strokes of a script, from above the tissue on."""
+    """Strokes of a script, from above the tissue on; UsageError where they never touch it."""
+    if script.depth_mm <= 0.0:
+        refuse(f"the script goes {script.depth_mm:g} mm deep, to no tissue: add 'indent 4 mm at 250 mm/min'")
     time, depth = [0.0, REST_S], [-CLEARANCE_MM, -CLEARANCE_MM]
     for stroke in script.strokes:
         time.append(time[-1] + stroke.duration_s)

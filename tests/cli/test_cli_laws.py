@@ -443,6 +443,7 @@ def test_what_makes_no_sense_is_refused(tmp_path):
         (("--preset", "paper-a"), "leave out --preset"),
         (("--device", "falcon", "--surface", "plane"), "leave out --surface, --device"),
         (("--script", "indent 4 furlongs"), "furlongs"),
+        (("--script", "hold 2 s"), "goes -0.5 mm deep"),
     ):
         run("render", bundle, "--twin", "--out", tmp_path / "twin", *asked, code=2, said=words)
     assert run("render", "--twin").code == 2
