@@ -25,7 +25,7 @@ from tissueid.store.files import CURVES, IDENTIFICATION, ONLY_BUNDLE, POSTERIORS
 from tissueid.store.merged import LISTED, SPECIMENS, load_specimen, read_listed
 from tissueid.store.outputs import CommittedRun, complete_refresh, current_run
 from tissueid.store.posteriors import StoredPosterior, load_posteriors
-from tissueid.store.schema import check
+from tissueid.store.schema import check, first_problem
 
 #: Place of a twin in an output folder.
 TWIN = Path("twin") / "twin.json"
@@ -131,7 +131,10 @@ def output_problems(out: Path | str) -> list[str]:
         posteriors = _posteriors(run)
     except BundleError as error:
         return [error.message]
-    problems = [*_specimen_problems(out, run), *_bundle_problems(out, run, plain)]
+    # of its whole schema, which says more than the types that it was read by
+    broken = first_problem(plain, "identification")
+    problems = [] if broken is None else [f"{IDENTIFICATION} breaks its schema at {broken}"]
+    problems += [*_specimen_problems(out, run), *_bundle_problems(out, run, plain)]
     fitted = [(s.specimen, t.path, t.sheet) for s in document.specimens for t in s.trials]
     if fitted != [(entry.specimen, entry.path, entry.sheet) for entry in curves]:
         problems.append(f"{CURVES} and {IDENTIFICATION} name different trials")
