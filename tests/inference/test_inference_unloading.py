@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import cycle
 
 import numpy as np
 import pytest
 from inference_cases import draw, handle_for
 
 from tissueid.inference.channel_law import kelvin_voigt_law
-from tissueid.inference.rounds import LawSurface
+from tissueid.inference.rounds import MAX_ROUNDS, LawSurface, follow_surfaces
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.segment import segment
@@ -73,6 +74,20 @@ def test_cycles_alone_determine_what_their_first_ramp_does_not():
     known = [one.parameter("relaxation_time_s").identified for one in (first_ramp, all_loops)]
     assert known == [False, True]
     assert all_loops.n_samples > 3 * first_ramp.n_samples
+
+
+def test_an_order_that_changes_with_every_surface_ends_unsettled():
+    handles = [handle_for(trial, segment(trial)) for trial in as_trials(draw(RETRACT, 4))]
+    fits = [
+        fit_with_state(
+            "synthetic", handles, options=FitOptions(branches=n, stiffness_degree=0), machine=False
+        )
+        for n in (1, 2)
+    ]
+    orders = cycle((one.identified, list(one.handles)) for one in fits)
+    followed = follow_surfaces(*next(orders), lambda _: next(orders), lambda _: None)
+    assert (followed.rounds, followed.settled) == (MAX_ROUNDS, False)
+    assert followed.change_sd == np.inf
 
 
 def test_a_tissue_that_sticks_is_said():

@@ -48,6 +48,19 @@ def recording(
     return trial, Segmentation(1, sign, contact, phases, noise, corners=corners)
 
 
+def test_the_peak_of_a_standstill_shorter_than_its_search_lies_in_it():
+    trial, divided = recording()
+    rest, ramp, hold = divided.phases
+    stop = hold.start + 5
+    # the tool goes on after 0.04 s, and the force rises beyond that of the stop
+    force = np.where(np.arange(trial.time_s.size) >= stop, 20.0, trial.force_N)
+    short = replace(hold, stop=stop, end_s=float(trial.time_s[stop - 1]))
+    again = Phase("ramp", stop - 1, trial.time_s.size, short.end_s, END, 2.0)
+    found = measure(replace(trial, force_N=force), replace(divided, phases=(rest, ramp, short, again)))
+    assert found.holds[0].end_s <= STOP + 0.05
+    assert all(one.after_peak_N is None or one.after_peak_N < 11.0 for one in found.holds[0].forces)
+
+
 @pytest.mark.parametrize(("sign", "zero"), [(1, 0.0), (-1, 3.0)])
 def test_numbers_of_a_hold_are_those_of_its_truth(sign, zero):
     found = measure(*recording(sign=sign, zero=zero))

@@ -98,6 +98,10 @@ def follow_surfaces(
         law, offsets = (found.law, at.log_times, at.linear), found.system.offsets(at).tolist()
         on = zip(current, offsets, strict=True)
         found, current = identify([replace(handle, surface=LawSurface(*law, by)) for handle, by in on])
+        if (found.law.branches, found.law.degree) != (law[0].branches, law[0].degree):
+            # another order is better on these surfaces: it is followed from where it stands
+            change, at = float("inf"), found.optimum.point
+            continue
         before, change = change, _moved(at, found)
         if change < SETTLED_SD:
             break
@@ -163,6 +167,8 @@ def unloading_verdict(
         why = "the free surface has several positions"
         if not followed.settled:
             why = f"a parameter still moved by {followed.change_sd:.2g} standard errors"
+        if not np.isfinite(followed.change_sd):
+            why = "the order of the law still changed"
         words = f"unloading did not converge in {followed.rounds} rounds: {why}"
         told = {name: report[name] for name in ("rounds", "change_sd", "surface_unique")}
         flags.append(Flag("unloading_not_settled", words, told))

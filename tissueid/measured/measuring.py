@@ -40,6 +40,8 @@ class ForceAt(NamedTuple):
 
 def force_at(time_s: FloatArray, force_N: FloatArray, at_s: float, noise_N: float) -> ForceAt:
     """The force so long after the start of a window."""
+    if time_s.size < 2:
+        return ForceAt(None, None, "it has one sample")
     last = float(time_s[-1])
     if last < (1.0 - REACHED) * at_s:
         return ForceAt(None, None, f"the hold lasts {last:.4g} s")

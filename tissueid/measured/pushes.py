@@ -97,6 +97,8 @@ def peak_of(time_s: FloatArray, force_N: FloatArray, segmentation: Segmentation,
     before = max(BEFORE_S, braking_before(segmentation, move) or 0.0) if held else np.inf
     low = max(int(np.searchsorted(time_s, stop_s - before)), begin)
     high = max(int(np.searchsorted(time_s, stop_s + AFTER_S, "right")), move.stop + 1)
+    if held:
+        high = min(high, phases[number].stop)
     ramp_s = stop_s - float(time_s[begin])
     force = _smoothed(time_s, force_N, slice(low, high), segmentation, ramp_s)
     at = int(np.argmax(force))
