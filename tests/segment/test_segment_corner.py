@@ -56,6 +56,19 @@ def test_a_sharp_stop_takes_no_time(noise_mm: float) -> None:
     assert not codes(found) & {"corner_slow", "corner_overshoot"}
 
 
+@pytest.mark.parametrize(("over_mm", "settles_s"), [(0.004, 1.0), (0.0065, 3.0), (0.01, 2.0)])
+def test_a_stop_that_settles_for_longer_than_the_ramp_took_is_where_the_ramp_ends(
+    over_mm: float, settles_s: float
+) -> None:
+    time = np.arange(0.0, 15.0, 0.01)
+    stop_s = 1.0 + (2.5 + over_mm) / 8.0
+    depth = np.clip(8.0 * (time - 1.0), 0.0, 2.5 + over_mm)
+    late = time > stop_s
+    depth[late] = 2.5 + over_mm * np.exp(-(time[late] - stop_s) / settles_s)
+    (hold,) = [one for one in divided(time, depth, 2e-4).phases if one.kind == "hold"]
+    assert hold.start_s == pytest.approx(stop_s, abs=0.02)
+
+
 @pytest.mark.parametrize("rounding_s", [0.05, 0.15, 0.3])
 def test_a_rounded_stop_takes_its_time(rounding_s: float) -> None:
     corner = only(divided(*path(rounding_s=rounding_s)))

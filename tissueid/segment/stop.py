@@ -68,13 +68,15 @@ def _stop(path: Path, before: Piece, after: Piece) -> int | None:
     time_s, travel_mm, noise_mm = path.time_s, before.direction * path.depth_mm, path.noise_mm
     speed, level_0 = travel_line(time_s, travel_mm, quickens(path, before), before.stop)
     plateau = float(np.median(travel_mm[after.start : after.stop + 1]))
-    share = STOP_SHARE * (plateau - float(travel_mm[before.start]))
+    began = float(travel_mm[before.start])
+    share = STOP_SHARE * (plateau - began)
     step_s = float(np.median(np.diff(time_s[before.start : before.stop + 1])))
     if speed <= 0.0 or noise_mm > max(share, BLIND_SAMPLES * speed * step_s):
         return None
     left = max(share, noise_mm)
     corner_s = (plateau - level_0) / speed
-    low = (before.start + before.stop) // 2
+    # half of the travel: half of the time lies behind the stop of a move that settles for longer than it took
+    low = before.start + int(np.argmax(travel_mm[before.start : before.stop + 1] >= 0.5 * (began + plateau)))
     first = max(int(np.searchsorted(time_s, corner_s)) - 1, low)
     last = after.start + (after.stop - after.start) // 2
     for k in range(first, last):
