@@ -155,6 +155,8 @@ CONTACT_SD = 6.0
 #: so many noise sd, and where it does with less, but better than a push that begins in contact.
 TOUCH_SHARE = 0.005
 TOUCH_SD = 20.0
+#: A move under which force rises by this share of its range is one of the test, whatever the noise.
+CLEAR_SHARE = 0.1
 STAYING_SHARE = 0.25
 #: Share of readings in air that repeat the last where its noise does not cross the steps of its digits.
 STEADY_SHARE = 0.9
@@ -187,7 +189,8 @@ def find_contact(
     depth_mm = without_spikes(depth_mm, noise=0.0)
     meeting = [k for k, piece in enumerate(loading) if _meets(force_N, piece, noise_N)]
     # a later move tells more than one under which force rises little above its noise
-    clear = [k for k in meeting if force_N[loading[k].stop] - force_N[loading[k].start] > TOUCH_SD * noise_N]
+    least = min(TOUCH_SD * noise_N, CLEAR_SHARE * float(np.ptp(force_N)))
+    clear = [k for k in meeting if force_N[loading[k].stop] - force_N[loading[k].start] > least]
     at = min(clear or meeting, default=None)
     if at is None:
         reach = max((float(np.ptp(force_N[one.start : one.stop + 1])) for one in loading), default=0.0)
