@@ -212,3 +212,68 @@ def chain_breaks(time_s: FloatArray) -> NDArray[np.bool_]:
 
 def _beyond(step: FloatArray, median: FloatArray, factor: float) -> NDArray[np.bool_]:
     return np.asarray((step > factor * median) | (factor * step < median))
+
+
+#: A travel is read with noise that counts where it is worth more than this share of the noise of the force,
+#: and the force does not follow it: by less than this share of the stiffness.
+WORTH_SHARE, FOLLOWS_SHARE = 0.25, 0.5
+#: Half widths of the windows a line is laid through, widest first [samples]; it is one where its halves bend
+#: by at most so many standard errors, and it leaves at most so many sd of chi-square more than noise does.
+HALF_WIDTHS, STRAIGHT_SD = (64, 45, 32, 22, 16, 11, 8, 5, 3, 2), 2.0
+#: Second differences beyond so many sd of the noise are corners, not noise.
+CORNER_SD = 6.0
+
+
+def steadied(time_s: FloatArray, depth_mm: FloatArray, force_N: FloatArray, *, noise_N: float) -> FloatArray:
+    """Travel (n,) of a tool on lines where it is straight, if the force knows nothing of its noise.
+
+    A law that is driven by that noise answers to it with its stiffness, and is bent until it does not (errors
+    in variables).  Each sample takes the widest window about it that noise alone keeps from being a line.
+    """
+    noise = white_noise_sd(time_s, depth_mm)
+    stiffness = float(np.ptp(force_N)) / max(float(np.ptp(depth_mm)), 1e-300)
+    if time_s.size < 5 or not stiffness * noise > WORTH_SHARE * noise_N:
+        return depth_mm
+    bends, answers = np.diff(depth_mm, 2), np.diff(force_N, 2)
+    kept = np.abs(bends) <= CORNER_SD * np.sqrt(6.0) * noise
+    if bends[kept] @ answers[kept] > FOLLOWS_SHARE * stiffness * (bends[kept] @ bends[kept]):
+        return depth_mm
+    lines = _Lines(time_s, depth_mm)
+    out, open_ = depth_mm.copy(), np.ones(depth_mm.size, dtype=np.bool_)
+    for half in HALF_WIDTHS:
+        at = np.flatnonzero(open_[half : depth_mm.size - half]) + half
+        first, last = at - half, at + half + 1
+        level, left = lines.through(first, last, at)
+        straight = left <= noise**2 * (2 * half - 1) * (1.0 + STRAIGHT_SD * np.sqrt(2.0 / (2 * half - 1)))
+        (before, error), (after, other) = lines.slope(first, at + 1), lines.slope(at, last)
+        straight &= np.abs(after - before) <= STRAIGHT_SD * noise * np.hypot(error, other)
+        out[at[straight]], open_[at[straight]] = level[straight], False
+    return out
+
+
+class _Lines:
+    """Least squares lines through any stretch of a signal, by running sums."""
+
+    def __init__(self, time_s: FloatArray, values: FloatArray) -> None:
+        self.time, self.values = time_s - time_s.mean(), values - values.mean()
+        t, x = self.time, self.values
+        self.mean = float(values.mean())
+        self.total = np.zeros((6, t.size + 1))
+        np.cumsum(np.stack([np.ones(t.size), t, x, t * t, t * x, x * x]), axis=1, out=self.total[:, 1:])
+
+    def _moments(self, first: NDArray[np.int64], last: NDArray[np.int64]) -> tuple[FloatArray, ...]:
+        """Means of time and value, and squares and products about them, of samples first to last - 1."""
+        n, t, x, tt, tx, xx = self.total[:, last] - self.total[:, first]
+        return t / n, x / n, np.maximum(tt - t * t / n, 1e-300), tx - t * x / n, xx - x * x / n
+
+    def slope(self, first: NDArray[np.int64], last: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+        """Slopes, and their standard errors for noise of one."""
+        _, _, tt, tx, _ = self._moments(first, last)
+        return tx / tt, 1.0 / np.sqrt(tt)
+
+    def through(
+        self, first: NDArray[np.int64], last: NDArray[np.int64], at: NDArray[np.int64]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Values of lines at samples, and the sums of squares that they leave."""
+        t, x, tt, tx, xx = self._moments(first, last)
+        return self.mean + x + tx / tt * (self.time[at] - t), xx - tx * tx / tt

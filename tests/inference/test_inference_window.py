@@ -26,7 +26,7 @@ from tissueid.measured.relaxation import relaxation_rows
 from tissueid.model.base import ContactPath
 from tissueid.pipeline import identify
 from tissueid.segment import SegmentOptions, segment
-from tissueid.signal_noise import chain_breaks
+from tissueid.signal_noise import chain_breaks, steadied
 from tissueid.trial import Contact, Phase, Segmentation, Trial
 
 STEP = 0.01
@@ -632,3 +632,27 @@ def test_rows_that_share_one_instant_are_no_straight_line():
         blocks = log_blocks(data, step_s=0.01, contact_sd_mm=0.004, leads=False)
     assert np.isfinite(blocks.time_s).all()
     assert np.isfinite(blocks.depth_mm).all()
+
+
+def read_with_noise(sd_mm, *, followed, seed=0):
+    """Times, true and read depths of a ramp and hold, and a force of either, 2 N/mm, with 0.02 N of noise."""
+    rng, time = np.random.default_rng(seed), np.arange(0.0, 12.0, 0.01)
+    true = np.clip(2.0 * (time - 1.0), -0.4, 4.0)
+    read = true + sd_mm * rng.standard_normal(time.size)
+    force = 2.0 * np.maximum(read if followed else true, 0.0) + 0.02 * rng.standard_normal(time.size)
+    return time, true, read, force
+
+
+@pytest.mark.parametrize("sd_mm", [0.01, 0.03])
+def test_travel_that_is_read_with_noise_is_steadied_and_its_corner_kept(sd_mm):
+    time, true, read, force = read_with_noise(sd_mm, followed=False)
+    off = steadied(time, read, force, noise_N=0.02) - true
+    assert np.std(off) < 0.3 * sd_mm
+    corner = np.abs(time - 3.0) < 0.1
+    assert abs(off[corner].mean()) < 0.5 * sd_mm
+
+
+@pytest.mark.parametrize(("sd_mm", "followed"), [(0.001, False), (0.03, True), (0.0, False)])
+def test_travel_that_is_read_well_and_jitter_that_the_force_follows_are_left(sd_mm, followed):
+    time, _, read, force = read_with_noise(sd_mm, followed=followed)
+    assert steadied(time, read, force, noise_N=0.02) is read

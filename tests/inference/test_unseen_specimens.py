@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -166,3 +167,18 @@ def test_a_relaxation_that_is_slower_than_its_search_leaves_what_it_exchanges_un
     assert unknown == {"static_1_N_per_mm", *slow}
     assert all(found[name].value is None for name in unknown)
     assert abs(found["relaxation_time_s"].value - 3.0) < 0.2
+
+
+def test_travel_that_is_read_with_noise_bends_no_law():
+    trial = recorded(lambda t, x: kelvin_voigt(t, x), seed=5, rate_Hz=100.0)
+    noise = 0.03 * np.random.default_rng(7).standard_normal(trial.time_s.size)
+    read = replace(trial, displacement_mm=trial.displacement_mm + noise)
+    found = {one["name"]: one for one in ti.fit([read]).sample().result.as_json()["parameters"]}
+    # K was 0 at half the depth, and a1 twice what it is
+    for name, truth in (
+        ("static_1_N_per_mm", 0.3),
+        ("stiffness_0_N_per_mm", 0.5),
+        ("relaxation_time_s", 3.0),
+    ):
+        low, high = found[name]["ci95_total"]
+        assert low - 0.1 * truth < truth < high + 0.1 * truth

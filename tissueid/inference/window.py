@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.measured.pushes import first_of_test, first_turn, mean_speed, measured_surface, usable_until
-from tissueid.signal_noise import chain_breaks, dropouts
+from tissueid.signal_noise import chain_breaks, dropouts, steadied
 from tissueid.trial import RENDERED, Phase, Segmentation, Trial, contact_frame
 
 #: Contact standard deviations below contact that stay out of the likelihood.
@@ -142,6 +142,8 @@ def fitted_log(
     if (contact := segmentation.contact) is None:
         return None
     depth, force = contact_frame(trial, segmentation)
+    if trial.protocol.kind != RENDERED:
+        depth = steadied(trial.time_s, depth, force, noise_N=segmentation.force_noise_N)
     first, begins = contact.index, first_of_test(segmentation)
     turn = first_turn(segmentation, depth, first)
     last = max(usable_until(segmentation, depth.size), turn) if whole else turn
