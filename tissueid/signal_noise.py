@@ -152,6 +152,8 @@ COARSE_SHARE = 0.2
 FEWEST_ROWS = 60
 #: Rows are sampled evenly where a line leaves no tick by more than a step and this share of a tick.
 EVEN_SLACK = 0.2
+#: A step is two where it differs from them by less than this share of one.
+STAMPED_SLACK = 0.2
 
 
 def between_ticks(time_s: FloatArray) -> tuple[FloatArray, float]:
@@ -161,8 +163,10 @@ def between_ticks(time_s: FloatArray) -> tuple[FloatArray, float]:
     each tick are spread evenly.  Times of a clock that is fine enough stay as they are, with a tick of 0.
     """
     repeats = np.diff(time_s) == 0.0
-    if time_s.size < FEWEST_ROWS or np.mean(repeats) < COARSE_SHARE or repeats.all():
+    if time_s.size < FEWEST_ROWS or not repeats.any() or repeats.all():
         return time_s, 0.0
+    if np.mean(repeats) < COARSE_SHARE:
+        return _stamped_late(time_s, repeats)
     starts = np.flatnonzero(np.concatenate(([True], ~repeats)))
     count = np.diff(np.append(starts, time_s.size))
     ticks = np.diff(time_s[starts])
@@ -181,6 +185,19 @@ def between_ticks(time_s: FloatArray) -> tuple[FloatArray, float]:
     # across a pause the rows were no slower
     reach = np.minimum(np.append(ticks, tick), tick)
     return np.asarray(time_s + (rows - np.repeat(starts, count)) * np.repeat(reach / count, count)), tick
+
+
+def _stamped_late(time_s: FloatArray, repeats: NDArray[np.bool_]) -> tuple[FloatArray, float]:
+    """The times, rows that repeat a stamp before two steps in one put between; a row more than those stays."""
+    steps = np.diff(time_s)
+    usual = float(np.median(steps[~repeats]))
+    twice = np.abs(steps[1:] - 2.0 * usual) <= STAMPED_SLACK * usual
+    at = np.flatnonzero(repeats[:-1] & twice) + 1
+    if not at.size:
+        return time_s, 0.0
+    out = time_s.copy()
+    out[at] = 0.5 * (time_s[at] + time_s[at + 1])
+    return out, 2.0 * usual
 
 
 def lag_one_correlation(residual: FloatArray) -> float:

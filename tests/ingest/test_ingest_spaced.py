@@ -346,9 +346,17 @@ def test_a_sampling_that_changes_is_spread_tick_by_tick() -> None:
     assert np.all(np.diff(spread) > 0.0)
 
 
-def test_single_rows_of_one_time_stay_as_they_are() -> None:
-    time_s = np.arange(0.0, 20.0, 0.1)
-    time_s[50] = time_s[49]
+def test_a_row_that_repeats_a_stamp_before_two_steps_in_one_is_put_between() -> None:
+    true = np.arange(0.0, 20.0, 0.1)
+    shown = true.copy()
+    shown[[50, 120]] = shown[[49, 119]]
+    spread, tick = between_ticks(shown)
+    assert tick == pytest.approx(0.2)
+    np.testing.assert_allclose(spread, true, atol=1e-9)
+
+
+def test_a_row_more_than_the_clock_has_stays_where_it_is() -> None:
+    time_s = np.insert(np.arange(0.0, 20.0, 0.1), 50, 4.9)
     same, tick = between_ticks(time_s)
     assert same is time_s
     assert tick == 0.0
