@@ -188,7 +188,7 @@ def between_ticks(time_s: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _stamped_late(time_s: FloatArray, repeats: NDArray[np.bool_]) -> tuple[FloatArray, float]:
-    """The times, rows that repeat a stamp before two steps in one put between; a row more than those stays."""
+    """The times, rows that repeat a stamp before two steps in one put between; one row more stays."""
     steps = np.diff(time_s)
     usual = float(np.median(steps[~repeats]))
     twice = np.abs(steps[1:] - 2.0 * usual) <= STAMPED_SLACK * usual
