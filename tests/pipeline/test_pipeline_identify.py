@@ -242,11 +242,11 @@ def test_committed_sets_give_the_committed_identification(datasets: Path) -> Non
         assert fit.model.as_json() == reference["model"]
         for estimate, then in zip(fit.parameters, reference["parameters"], strict=True):
             assert (estimate.name, estimate.identified) == (then["name"], then["identified"])
-            # data changed by 1e-15 of themselves move the estimates by 2e-4 of a standard error, another
-            # processor by 1.3e-3: the noise of residuals is found in rounds
-            tolerance = 5e-3 * then["detail"]["estimate_stderr"]
+            # at 10 Hz the misfit has kinks, and roundings say in which of them a search ends: by the kernels
+            # of four processors estimates differ by up to 0.3 standard errors, the misfit by 4e-6
+            tolerance = 0.5 * then["detail"]["estimate_stderr"]
             assert estimate.detail["estimate"] == pytest.approx(then["detail"]["estimate"], abs=tolerance)
-        assert fit.nrmsd.range == pytest.approx(reference["nrmsd"]["range"], rel=1e-6)
+        assert fit.nrmsd.range == pytest.approx(reference["nrmsd"]["range"], rel=1e-5)
 
 
 #: K = 0.8 N/mm constant, tau = 2 s.

@@ -29,7 +29,7 @@ from tissueid.inference.window import MIN_SAMPLES
 from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
 
 #: Standard errors within which optima agree: of ln tau, and squared of the objective, which one lifts by 1.
-AGREE_SD = 0.1
+AGREE_SD = 0.2
 #: ln tau starts at the nearest multiple of this, other parameters so far off, relatively.
 START_GRID, START_OFF = 0.5, 0.05
 MAX_EVALUATIONS, TOLERANCE = 300, 1e-10
