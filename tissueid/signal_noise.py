@@ -12,7 +12,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, IntArray
+
+#: One place among samples, or several.
+Places = int | IntArray
 
 #: Standard deviation of a normal variable over its median absolute value.
 NORMAL_SD_OVER_MEDIAN = 1.482602218505602
@@ -255,42 +258,51 @@ def steadied(time_s: FloatArray, depth_mm: FloatArray, force_N: FloatArray, *, n
     kept = np.abs(bends) <= CORNER_SD * np.sqrt(6.0) * noise
     if bends[kept] @ answers[kept] > FOLLOWS_SHARE * stiffness * (bends[kept] @ bends[kept]):
         return depth_mm
-    lines = _Lines(time_s, depth_mm)
+    lines, typical = Lines(time_s - time_s.mean(), depth_mm - depth_mm.mean()), float(depth_mm.mean())
     out, open_ = depth_mm.copy(), np.ones(depth_mm.size, dtype=np.bool_)
     for half in HALF_WIDTHS:
         at = np.flatnonzero(open_[half : depth_mm.size - half]) + half
         first, last = at - half, at + half + 1
-        level, left = lines.through(first, last, at)
-        straight = left <= noise**2 * (2 * half - 1) * (1.0 + STRAIGHT_SD * np.sqrt(2.0 / (2 * half - 1)))
+        straight = lines.left(first, last) <= noise**2 * (2 * half - 1) * _chance(2 * half - 1)
         (before, error), (after, other) = lines.slope(first, at + 1), lines.slope(at, last)
         straight &= np.abs(after - before) <= STRAIGHT_SD * noise * np.hypot(error, other)
-        out[at[straight]], open_[at[straight]] = level[straight], False
+        out[at[straight]] = typical + lines.value(first, last, at)[straight]
+        open_[at[straight]] = False
     return out
 
 
-class _Lines:
-    """Least squares lines through any stretch of a signal, by running sums."""
+def _chance(freedom: int) -> float:
+    """Chi-square over its degrees of freedom that noise alone hardly exceeds."""
+    return 1.0 + STRAIGHT_SD * float(np.sqrt(2.0 / freedom))
 
-    def __init__(self, time_s: FloatArray, values: FloatArray) -> None:
-        self.time, self.values = time_s - time_s.mean(), values - values.mean()
-        t, x = self.time, self.values
-        self.mean = float(values.mean())
+
+class Lines:
+    """Least squares lines through any stretch of a signal, samples first to last - 1, by running sums."""
+
+    def __init__(self, time: FloatArray, values: FloatArray) -> None:
+        self.time, t, x = time, time, values
         self.total = np.zeros((6, t.size + 1))
         np.cumsum(np.stack([np.ones(t.size), t, x, t * t, t * x, x * x]), axis=1, out=self.total[:, 1:])
 
-    def _moments(self, first: NDArray[np.int64], last: NDArray[np.int64]) -> tuple[FloatArray, ...]:
-        """Means of time and value, and squares and products about them, of samples first to last - 1."""
+    def _moments(self, first: Places, last: Places) -> tuple[FloatArray, ...]:
+        """Means of time and value, slope, and squares of times and of values about their means."""
         n, t, x, tt, tx, xx = self.total[:, last] - self.total[:, first]
-        return t / n, x / n, np.maximum(tt - t * t / n, 1e-300), tx - t * x / n, xx - x * x / n
+        spread, both = tt - t * t / n, tx - t * x / n
+        # samples of one instant have no slope
+        slope = np.divide(both, spread, out=np.zeros(np.shape(spread)), where=spread > 0.0)
+        return t / n, x / n, slope, np.maximum(spread, 0.0), xx - x * x / n
 
-    def slope(self, first: NDArray[np.int64], last: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    def slope(self, first: Places, last: Places) -> tuple[FloatArray, FloatArray]:
         """Slopes, and their standard errors for noise of one."""
-        _, _, tt, tx, _ = self._moments(first, last)
-        return tx / tt, 1.0 / np.sqrt(tt)
+        _, _, slope, spread, _ = self._moments(first, last)
+        return slope, 1.0 / np.sqrt(np.maximum(spread, 1e-300))
 
-    def through(
-        self, first: NDArray[np.int64], last: NDArray[np.int64], at: NDArray[np.int64]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Values of lines at samples, and the sums of squares that they leave."""
-        t, x, tt, tx, xx = self._moments(first, last)
-        return self.mean + x + tx / tt * (self.time[at] - t), xx - tx * tx / tt
+    def value(self, first: Places, last: Places, at: Places) -> FloatArray:
+        """Values of lines at samples."""
+        t, x, slope, _, _ = self._moments(first, last)
+        return np.asarray(x + slope * (self.time[at] - t))
+
+    def left(self, first: Places, last: Places) -> FloatArray:
+        """Sums of squares that lines leave."""
+        _, _, slope, spread, squares = self._moments(first, last)
+        return np.asarray(squares - slope * slope * spread)

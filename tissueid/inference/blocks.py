@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.inference.window import LogData, SurfaceResponse
-from tissueid.signal_noise import quantum, white_noise_sd
+from tissueid.signal_noise import Lines, quantum, white_noise_sd
 
 #: Samples up to which a log is kept sample by sample.
 SAMPLED = 420
@@ -90,8 +90,7 @@ def _edges(time: FloatArray, depth: FloatArray, stops: Sequence[int]) -> IntArra
     scale = max(float(np.ptp(depth)), 1e-300)
     t = (time - time[0]) / max(float(time[-1] - time[0]), 1e-300)
     x = (depth - depth[0]) / scale
-    total = np.zeros((6, n + 1))
-    np.cumsum(np.stack([np.ones(n), t, x, t * t, t * x, x * x]), axis=1, out=total[:, 1:])
+    lines = Lines(t, x)
     # equal steps between standstills are one speed, and no digits
     still = np.diff(depth) == 0.0
     moving = ~(np.append(still, True) & np.append(True, still))
@@ -101,12 +100,7 @@ def _edges(time: FloatArray, depth: FloatArray, stops: Sequence[int]) -> IntArra
     def straight(i: int, j: int, wide: float = 1.0) -> bool:
         """Samples i to j (without j) lie on a line, and their neighbours too: none of them is at a corner."""
         i, j = max(i - 1, 0), min(j + 1, n)
-        if j - i < 3:
-            return True
-        count, st, sx, stt, stx, sxx = total[:, j] - total[:, i]
-        a, b, c = stt - st * st / count, stx - st * sx / count, sxx - sx * sx / count
-        rest = c - b * b / a if a > 0.0 else c
-        return bool(rest <= wide * limit * count + 1e-13)
+        return j - i < 3 or bool(lines.left(i, j) <= wide * limit * (j - i) + 1e-13)
 
     out, size, alone = [0], 1, ALONE + 1
     following = iter([*stops, n])
