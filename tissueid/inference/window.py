@@ -126,6 +126,14 @@ def _unmeasured(trial: Trial, segmentation: Segmentation) -> NDArray[np.bool_]:
     return np.isin(trial.force_N, limits) | lost
 
 
+def _driving(trial: Trial, segmentation: Segmentation) -> tuple[FloatArray, FloatArray]:
+    """Depth that drives a law, and force; a rendered law followed what it read, noise and all."""
+    depth, force = contact_frame(trial, segmentation)
+    if trial.protocol.kind == RENDERED:
+        return depth, force
+    return steadied(trial.time_s, depth, force, noise_N=segmentation.force_noise_N), force
+
+
 def fitted_log(
     trial: Trial,
     segmentation: Segmentation,
@@ -141,9 +149,7 @@ def fitted_log(
     """
     if (contact := segmentation.contact) is None:
         return None
-    depth, force = contact_frame(trial, segmentation)
-    if trial.protocol.kind != RENDERED:
-        depth = steadied(trial.time_s, depth, force, noise_N=segmentation.force_noise_N)
+    depth, force = _driving(trial, segmentation)
     first, begins = contact.index, first_of_test(segmentation)
     turn = first_turn(segmentation, depth, first)
     last = max(usable_until(segmentation, depth.size), turn) if whole else turn
