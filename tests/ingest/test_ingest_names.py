@@ -396,6 +396,10 @@ def test_letters_that_number_repeats_are_no_units(letter):
         ("position_steps", "position", "steps"), ("Force (10^-3 N)", "Force", "10^-3 N"),
         ("Time (10\u207b\u00b3 s)", "Time", "10\u207b\u00b3 s"), ("Travel (0.01 mm)", "Travel", "0.01 mm"),
         ("Load (500 N)", "Load (500 N)", None), ("force_raw", "force_raw", None), ("disp_v", "disp_v", None),
+        ("Time:s", "Time", "s"), ("Force:mN", "Force", "mN"), ("hh:mm:ss", "hh:mm:ss", None),
+        ("timeMs", "time", "ms"), ("dispMM", "disp", "mm"), ("elapsedTimeS", "elapsedTime", "s"),
+        ("forceN", "force", "N"), ("loadKn", "load", "kN"), ("forceMN", "forceMN", None),
+        ("forceZ", "forceZ", None), ("displacementN", "displacementN", None),
     ],
 )  # fmt: skip
 def test_a_unit_behind_a_name_is_seen_though_it_is_none_of_a_channel(name, base, unit):

@@ -35,6 +35,10 @@ _AFTER_SPACE = re.compile(
     r"(.*\S)\s+(mm|cm|[uµμn]m|[kmuµμ]?N|kgf|gf|lbf|s|sec|ms|msec|мм|мкм|[км]?Н|к?гс|м?с|сек)"
 )
 _AFTER_DOT = re.compile(r"([^.].*[^.])\.{1,2}([^.\d]+)\.?")
+#: ``Time:s``, and ``timeMs``, behind the name of a channel alone: a clock is ``mm:ss``, ``forceZ`` an axis.
+_AFTER_COLON = re.compile(r"([^:]*[^\s:])\s*:(\S+)")
+_AFTER_CAPITAL = re.compile(r"(.*[a-z])((?:S|Ms|Us)(?:ecs?)?|MS|US|Mm|MM|Um|UM|[KM]n|K?N|Newtons?)")
+_CAPITAL_FORCES = {"N": "N", "KN": "kN", "Kn": "kN", "Mn": "mN"}
 #: A number of a name that repeats, or a mark of a remark.
 _NUMBERED = re.compile(r"(?<=[)\]])(?:[._]\d+|\*+)$")
 #: Units that may end a name without brackets: ``Fz, gf``, ``stress_kPa``, ``Stress-kPa``, ``Load N``.
@@ -223,6 +227,12 @@ def split_name(name: str) -> tuple[str, str | None]:
     for pattern in (_AFTER_IN, _AFTER_COMMA, _AFTER_GLUE, _AFTER_SPACE, _AFTER_DOT):
         if (match := pattern.fullmatch(name)) and quantity_of(match[2]) in _SPLIT_UNITS:
             return match[1], match[2]
+    for pattern in (_AFTER_COLON, _AFTER_CAPITAL):
+        if match := pattern.fullmatch(name):
+            unit = match[2] if pattern is _AFTER_COLON else _CAPITAL_FORCES.get(match[2], match[2].lower())
+            quantity = quantity_of(unit)
+            if quantity in CHANNELS and rank_of(match[1], quantity, loose=True) is not None:
+                return match[1], unit
     if (match := _AFTER_GLUE.fullmatch(name)) and (match[2] == "n" or _GLUED_UNIT.fullmatch(match[2])):
         return match[1], "N" if match[2] == "n" else match[2]
     return name, None
