@@ -348,7 +348,7 @@ _NOTE = {
     "several_steps": FlagKind("Several steps", "the recording has several ramp-and-hold steps",
         "Every step is fitted with one tissue.", NOTHING, "have several steps"),
     "cyclic": FlagKind("Cyclic test", "the recording is cyclic",
-        "Loading is fitted; turns and loops are measured.", "Add --unloading to fit retracts.",
+        "Loading is fitted; turns and loops are measured.", "With --unloading retracts are fitted.",
         "are cyclic"),
     "event_rows": FlagKind("Event rows",
         "extra samples stand close beside their neighbours, as written at segment changes",

@@ -25,7 +25,7 @@ from tissueid.inference.window import FittedLog
 from tissueid.measured import measure
 from tissueid.measured.cycles import closed_area, cycle_rows
 from tissueid.measured.geometry import TipOf
-from tissueid.measured.relaxation import relaxation_rows
+from tissueid.measured.relaxation import hold_ladders, relaxation_rows
 from tissueid.measured.spectrum import HoldNumbers, hold_numbers
 from tissueid.model.channels import ChannelModel
 from tissueid.own_process import threads
@@ -220,12 +220,14 @@ def _one_log(
 ) -> _OneLog:
     """Summarise one log; it touches nothing else, so that logs may be looked at in threads."""
     model, theta = known.tissue.model, known.tissue.theta
-    look = look or Look(
-        cycles=tuple(cycle_rows(trial, segmentation, depths_mm=known.depths_mm)),
-        measured=measure(trial, segmentation, geometry=known.tip.of(trial)),
-        relaxation=relaxation_rows(trial, segmentation),
-        holds=hold_numbers(trial, segmentation),
-    )
+    if look is None:
+        ladders = hold_ladders(trial, segmentation)
+        look = Look(
+            cycles=tuple(cycle_rows(trial, segmentation, depths_mm=known.depths_mm)),
+            measured=measure(trial, segmentation, geometry=known.tip.of(trial), ladders=ladders),
+            relaxation=relaxation_rows(trial, segmentation, ladders),
+            holds=hold_numbers(trial, segmentation),
+        )
     totals = ResidualTotals()
     blocks = residual_blocks(segmentation, log, model, theta, adjustment, fitted)
     summary = residual_summary(log, fitted, blocks, sigma_N=known.noise.sigma_N)

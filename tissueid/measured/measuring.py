@@ -16,7 +16,7 @@ from tissueid.documents import measured as documents
 from tissueid.measured.cycles import cycle_rows
 from tissueid.measured.geometry import Geometry, modulus_of
 from tissueid.measured.pushes import HELD, Move, braking_before, move_before, moves, peak_of, usable_until
-from tissueid.measured.relaxation import hold_ladder
+from tissueid.measured.relaxation import Ladders, hold_ladders
 from tissueid.quantities import beyond_ramp
 from tissueid.trial import Phase, Segmentation, Trial
 
@@ -69,8 +69,6 @@ REFERENCE_S = 10.0
 #: First digits of the depths at which the force of a loading is stated, how many of them at the most, and the
 #: share of its depth that the last one may have.
 ROUND_DEPTHS, MOST_DEPTHS, WITHIN = (1.0, 2.0, 5.0), 3, 0.98
-#: Exponentials of a hold.
-EXPONENTIALS = 2
 #: Fewest samples at rest that give a base.
 LEAST_REST = 2
 
@@ -84,6 +82,7 @@ class _Record:
     base: documents.Base
     force_N: FloatArray
     depth_mm: FloatArray
+    ladders: Ladders
 
     def recorded(self, force_N: float) -> float:
         """A force above the base, as the recording has it."""
@@ -91,9 +90,13 @@ class _Record:
 
 
 def measure(
-    trial: Trial, segmentation: Segmentation, *, geometry: Geometry | None = None
+    trial: Trial,
+    segmentation: Segmentation,
+    *,
+    geometry: Geometry | None = None,
+    ladders: Ladders | None = None,
 ) -> documents.Measured:
-    """Measure a recording, no model."""
+    """Measure a recording, no model; ``ladders``: of its holds, where they are known."""
     base, contact, phases = _base(trial, segmentation), segmentation.contact, segmentation.phases
     zero = float(trial.displacement_mm[0]) if contact is None else contact.displacement_mm
     record = _Record(
@@ -102,6 +105,7 @@ def measure(
         base,
         segmentation.force_sign * (trial.force_N - base.recorded_N),
         segmentation.compression_sign * (trial.displacement_mm - zero),
+        hold_ladders(trial, segmentation) if ladders is None else ladders,
     )
     pushes = [_push(record, move, geometry) for move in moves(phases)]
     return documents.Measured(
@@ -185,7 +189,7 @@ def _hold(record: _Record, number: int, geometry: Geometry | None) -> documents.
         forces=_forces(record, number, phase, push) if position else (),
         end_N=float(record.force_N[last]),
         creep_mm=float(record.depth_mm[last] - record.depth_mm[phase.start]),
-        tau=_tau(record, phase) if position else None,
+        tau=_tau(record, number) if position else None,
         after_rupture=phase.stop > usable_until(segmentation, phase.stop),
     )
 
@@ -225,10 +229,9 @@ def _forces(
     return tuple(rows)
 
 
-def _tau(record: _Record, phase: Phase) -> documents.MeasuredTau | None:
+def _tau(record: _Record, number: int) -> documents.MeasuredTau | None:
     """Relaxation times from the stop to the end of the hold."""
-    inside = slice(phase.start, phase.stop)
-    found = hold_ladder(record.trial.time_s[inside], record.force_N[inside], EXPONENTIALS)
+    found, phase = record.ladders[number], record.segmentation.phases[number]
     if found is None:
         return None
     single, half = found.single_s, found.half_s

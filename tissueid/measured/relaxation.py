@@ -10,7 +10,7 @@ relaxation time is then tried on a small matrix.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
@@ -136,23 +136,27 @@ BLOCK = 1 << 15
 
 
 def _amplitudes(gram: FloatArray, product: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Non-negative least squares of a few columns, at many points: every set of columns is tried."""
+    """Non-negative least squares of a few columns, at many points: all of them, else every set is tried."""
     points, m = product.shape
-    best, gained = np.zeros((points, m)), np.zeros(points)
-    for size in range(1, m + 1):
+    best, gained, left = np.zeros((points, m)), np.zeros(points), np.arange(points)
+    for size in range(m, 0, -1):
         for chosen in combinations(range(m), size):
             at = np.array(chosen)
-            inner = gram[:, at[:, None], at]
+            inner = gram[left[:, None, None], at[:, None], at]
             trace = np.trace(inner, axis1=1, axis2=2)
             inner = inner + (RIDGE * trace + 1e-300)[:, None, None] * np.eye(size)
-            right = product[:, at]
+            right = product[left[:, None], at]
             found = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
             gain = (found * right).sum(axis=1)
-            better = (found >= 0.0).all(axis=1) & (gain > gained)
-            gained[better] = gain[better]
+            better = (found >= 0.0).all(axis=1) & (gain > gained[left])
+            gained[left[better]] = gain[better]
             row = np.zeros((int(better.sum()), m))
             row[:, at] = found[better]
-            best[better] = row
+            best[left[better]] = row
+        # all columns together leave no less to any of them
+        left = left[gained[left] == 0.0] if size == m else left
+        if left.size == 0:
+            break
     return best, gained
 
 
@@ -376,36 +380,46 @@ def _flags(found: Ladder, tau: float, time: FloatArray, range_N: float, noise_N:
     return flags
 
 
-def _row(trial: Trial, force: FloatArray, noise_N: float, window: slice, peak_N: float) -> Relaxation | None:
-    time, window_force = trial.time_s[window], force[window]
-    found = hold_ladder(time, window_force, MAX_EXPONENTIALS)
-    if found is None:
-        return None
-    single, range_N = found.single_s, float(np.ptp(window_force))
-    return Relaxation(
-        path=trial.source.path,
-        sheet=trial.source.sheet,
-        window_s=(float(time[0]), float(time[-1])),
-        peak_force_N=peak_N,
-        tau_single_s=single,
-        nrmsd_single=found.nrmsd[0],
-        tau_double_s=found.taus_s[1],
-        tau_triple_s=found.taus_s[2],
-        flags=() if single is None else tuple(_flags(found, single, time, range_N, noise_N)),
-    )
+#: Fits of the holds of a recording, by the number of their phase.
+Ladders = Mapping[int, Ladder | None]
 
 
-def relaxation_rows(trial: Trial, segmentation: Segmentation) -> tuple[Relaxation, ...]:
-    """One row for every hold in contact; none where there is no hold."""
+def hold_ladders(trial: Trial, segmentation: Segmentation) -> Ladders:
+    """Fits of all holds with one to three exponentials."""
+    force = segmentation.force_sign * trial.force_N
+    return {
+        number: hold_ladder(trial.time_s[one.start : one.stop], force[one.start : one.stop], MAX_EXPONENTIALS)
+        for number, one in enumerate(segmentation.phases)
+        if one.kind == "hold" and one.end_s > one.start_s
+    }
+
+
+def relaxation_rows(
+    trial: Trial, segmentation: Segmentation, ladders: Ladders | None = None
+) -> tuple[Relaxation, ...]:
+    """One row for every hold in contact that was fitted; none where there is no hold."""
     if segmentation.contact is None:
         return ()
     _, force = contact_frame(trial, segmentation)
-    last = usable_until(segmentation, trial.time_s.size)
-    rows = []
-    for number, hold in enumerate(segmentation.phases):
-        if hold.kind == "hold" and segmentation.contact.index < hold.stop <= last:
-            peak = peak_of(trial.time_s, force, segmentation, number)
-            rows.append(
-                _row(trial, force, segmentation.force_noise_N, slice(hold.start, hold.stop), peak.force_N)
+    last, rows = usable_until(segmentation, trial.time_s.size), []
+    for number, found in (hold_ladders(trial, segmentation) if ladders is None else ladders).items():
+        hold = segmentation.phases[number]
+        if found is None or not segmentation.contact.index < hold.stop <= last:
+            continue
+        window, single = slice(hold.start, hold.stop), found.single_s
+        time, range_N = trial.time_s[window], float(np.ptp(force[window]))
+        told = () if single is None else _flags(found, single, time, range_N, segmentation.force_noise_N)
+        rows.append(
+            Relaxation(
+                path=trial.source.path,
+                sheet=trial.source.sheet,
+                window_s=(float(time[0]), float(time[-1])),
+                peak_force_N=peak_of(trial.time_s, force, segmentation, number).force_N,
+                tau_single_s=single,
+                nrmsd_single=found.nrmsd[0],
+                tau_double_s=found.taus_s[1],
+                tau_triple_s=found.taus_s[2],
+                flags=tuple(told),
             )
-    return tuple(row for row in rows if row is not None)
+        )
+    return tuple(rows)
