@@ -156,8 +156,8 @@ def fit(
     fitted = fit_with_state(
         name, found.groups[name], options=options, priors=setting.priors, machine=setting.machine
     )
-    result = replace(fitted.fit, axes=found.axes[name])
-    return Fit(own, tuple(found.left_out), setting, replace(fitted, fit=result))
+    fitted = replace(fitted, bare=replace(fitted.bare, axes=found.axes[name]))
+    return Fit(own, tuple(found.left_out), setting, fitted)
 
 
 @dataclass(frozen=True, slots=True)

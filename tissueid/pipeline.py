@@ -267,7 +267,7 @@ def _fit_all(
                 options.posterior,
                 _priors(study),
                 instrument=not normalised,
-                checkpoint=None if checkpoint is None else checkpoint(fitted.fit.specimen),
+                checkpoint=None if checkpoint is None else checkpoint(fitted.bare.specimen),
                 key=identity,
                 tick=tick,
             )

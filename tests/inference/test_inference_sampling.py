@@ -32,6 +32,8 @@ class Density:
         self.calls += 1
         return self._log(z)
 
+    walked = densities
+
     def bent(self, z: np.ndarray) -> np.ndarray:
         return z
 

@@ -434,7 +434,9 @@ def test_draws_reach_the_end_of_the_frames_valley():
             at.follows = False
             at._whiten()
         drawn = sample(at, draws=2_000, seed=0)
-        frame = at.vectors(drawn.chain.reshape(-1, at.size))[:, at.law.times]
+        vectors = at.vectors(drawn.chain.reshape(-1, at.size))
+        np.testing.assert_allclose(drawn.vectors.reshape(vectors.shape), vectors, rtol=1e-9, atol=1e-12)
+        frame = vectors[:, at.law.times]
         found.append(float(np.quantile(frame, 0.975)))
     following, straight = found
     assert following > 0.002 > 0.001 > straight

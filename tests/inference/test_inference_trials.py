@@ -15,7 +15,6 @@ from tissueid.inference.trials import (
     CORNER_POINTS,
     CURVE_POINTS,
     Adjustment,
-    ResidualTotals,
     nrmsd,
     summarise_trial,
 )
@@ -47,17 +46,18 @@ def recorded(sigma=0.0, n=5000, spike=None, seed=0):
     return trial, segmentation, fitted_log(trial, segmentation)
 
 
-def summary(trial, segmentation, log, adjustment=NEITHER, totals=None):
-    return summarise_trial(
-        trial, segmentation, log, fitted=model_force(MODEL, THETA, log, adjustment), adjustment=adjustment,
-        totals=ResidualTotals() if totals is None else totals,
-    )  # fmt: skip
+def summed(trial, segmentation, log, adjustment=NEITHER):
+    fitted = model_force(MODEL, THETA, log, adjustment)
+    return summarise_trial(trial, segmentation, log, fitted=fitted, adjustment=adjustment)
+
+
+def summary(trial, segmentation, log, adjustment=NEITHER):
+    return summed(trial, segmentation, log, adjustment)[0]
 
 
 def test_summary_of_a_good_fit():
     trial, segmentation, log = recorded(sigma=0.2)
-    totals = ResidualTotals()
-    found = summary(trial, segmentation, log, totals=totals)
+    found, totals = summed(trial, segmentation, log)
     assert (found.path, found.sheet) == ("a.csv", "Tab 1")
     assert found.nrmsd.rmse_N == pytest.approx(0.2, rel=0.05)
     assert abs(found.residual_acf1) <= 0.05
@@ -65,9 +65,9 @@ def test_summary_of_a_good_fit():
     assert found.gain == 1.0
     assert found.speed_mm_s == 2.0
     assert found.depth_mm == pytest.approx(4.0)
-    assert found.n_samples == totals.count == 5000
+    assert found.n_samples == totals.samples == 5000
     assert found.flags == ()
-    assert np.sqrt(totals.squares / totals.count) == pytest.approx(found.nrmsd.rmse_N)
+    assert np.sqrt(totals.squares / totals.samples) == pytest.approx(found.nrmsd.rmse_N)
 
 
 def test_residuals_that_are_large_or_correlated_are_flagged():
@@ -88,16 +88,13 @@ def test_residuals_that_are_large_or_correlated_are_flagged():
 
 
 def test_a_short_curve_is_kept_whole_and_totals_are_of_all_samples():
-    totals, seen = ResidualTotals(), []
-    for n in (200, 300):
-        trial, segmentation, log = recorded(sigma=0.1, n=n)
-        curve = summary(trial, segmentation, log, totals=totals).curve
-        np.testing.assert_array_equal(curve.force_N, trial.force_N)
-        seen.append((curve.force_N, curve.model_N))
-    force, model = (np.concatenate(one) for one in zip(*seen, strict=True))
+    trial, segmentation, log = recorded(sigma=0.1, n=300)
+    found, totals = summed(trial, segmentation, log)
+    force, model = found.curve.force_N, found.curve.model_N
+    np.testing.assert_array_equal(force, trial.force_N)
     assert totals.squares == pytest.approx(float(((force - model) ** 2).sum()))
     assert totals.force == pytest.approx(float(np.abs(force).sum()))
-    assert (totals.low, totals.high, totals.count) == (force.min(), force.max(), 500)
+    assert (totals.low, totals.high, totals.samples) == (force.min(), force.max(), 300)
 
 
 def test_decimation_keeps_ends_and_extremes():

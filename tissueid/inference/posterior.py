@@ -122,16 +122,17 @@ def _at_mean_machine(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
 def _draws(target: SpecimenTarget, sampled: Sampled, priors: Priors, seed: int) -> Draws:
     """Draws as vectors and as tissues."""
     z, central = sampled.chain.reshape(-1, sampled.chain.shape[2]), sampled.at_mean_machine
-    vectors = target.vectors(z)
+    known = sampled.vectors
+    vectors = target.vectors(z) if known is None else known.reshape(len(z), -1)
     inner = _at_mean_machine(target, vectors) if central is None else target.vectors(central)
     inner = target.following(inner, z)
     gains = np.ones((len(vectors), 2))
     total, statistical = _theta_of(target, vectors), _theta_of(target, inner)
     if target.open:
-        rng, known = np.random.default_rng([seed, 5]), [priors.calibration[name] for name in GAINS]
-        for k, one in enumerate(known):
+        rng, gained = np.random.default_rng([seed, 5]), [priors.calibration[name] for name in GAINS]
+        for k, one in enumerate(gained):
             gains[:, k] = np.maximum(one.mean + one.sd * rng.standard_normal(len(vectors)), 0.05)
-        specs, means = target.law.model().parameters, np.array([[one.mean] for one in known])
+        specs, means = target.law.model().parameters, np.array([[one.mean] for one in gained])
         total, statistical = scaled_theta(specs, total, *gains.T), scaled_theta(specs, statistical, *means)
     return Draws(vectors, total, statistical, gains)
 
@@ -225,7 +226,7 @@ def _centred(fitted: FittedSpecimen, target: SpecimenTarget, draws: Draws) -> Fi
     point = Point(times, machine, start.linear, own)
     found = refit(fitted.identified, machine=False, start=point, steps=6, held=np.arange(t)).point
     moved = fitted.moved(found)
-    return moved if moved.fit.nrmsd.range <= WORSE * fitted.fit.nrmsd.range else fitted
+    return moved if moved.bare.nrmsd.range <= WORSE * fitted.bare.nrmsd.range else fitted
 
 
 def without_faults(machine: FloatArray, total: Mapping[str, FloatArray]) -> Iterator[dict[str, FloatArray]]:
@@ -313,7 +314,7 @@ def _assembled(
     fitted: FittedSpecimen, target: SpecimenTarget, sampled: Sampled, draws: Draws, *, instrument: bool
 ) -> SpecimenFit:
     """Values, intervals, budget and checks from draws."""
-    model, fit, noise = fitted.tissue.model, fitted.fit, fitted.noise
+    model, fit, noise = fitted.tissue.model, fitted.bare, fitted.noise
     statistical = reported_draws(model, draws.statistical)
     total = reported_draws(model, draws.total) if instrument else None
     names = [one.name for one in fit.parameters]
@@ -347,13 +348,9 @@ def _assembled(
     )
     kept = [flag for flag in fit.flags if flag.code != "not_identified"]
     spread = np.cov(draws.total if instrument else draws.statistical, rowvar=False)
-    return replace(
-        fit,
-        quoted=fitted.quoted(replace(fitted.tissue, covariance=np.atleast_2d(spread)))[0],
-        parameters=parameters,
-        posterior=posterior,
-        flags=(*said, *unidentified(parameters), *kept, *posterior_flags(posterior)),
-    )
+    flags = (*said, *unidentified(parameters), *kept, *posterior_flags(posterior))
+    told = replace(fit, parameters=parameters, posterior=posterior, flags=flags)
+    return fitted.quoting(told, replace(fitted.tissue, covariance=np.atleast_2d(spread)))
 
 
 def _kept(theta: FloatArray) -> FloatArray:

@@ -61,7 +61,7 @@ def ridges_of(target: SpecimenTarget) -> Ridges:
     if "ln_memory" in places:
         at, x = places["ln_memory"], np.tile(target.mode, (MEMORIES.size, 1))
         x[:, at] += MEMORIES
-        level = target.levels(x, np.zeros((len(x), target.size)))
+        level, _ = target.levels(x, np.zeros((len(x), target.size)))
         quantiles[at] = _by_density(x[:, at], level if np.isfinite(level).any() else target.density(x))
     if "ln_gain_sd" not in places:
         return Ridges(quantiles)

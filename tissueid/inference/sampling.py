@@ -174,6 +174,7 @@ class Sampled:
     converged: bool
     acceptance: float
     detail: dict[str, Any] = field(default_factory=dict)
+    vectors: FloatArray | None = None  # (walkers, steps, size), of the chain, where the target tells them
     #: (n, d): the same draws with the machine at its mean, where they are known.
     at_mean_machine: FloatArray | None = None
 
@@ -253,7 +254,7 @@ def sample(
     shares = MOVES_IN_TAILS if weighed.pareto <= GOOD_TAILS else MOVES_ALONE if poor else MOVES
     kinds = (_independence(proposal, rng), emcee.moves.DEMove(), emcee.moves.StretchMove())
     moves = list(zip(kinds, MOVES_EXACT if target.is_normal else shares, strict=True))
-    sampler = emcee.EnsembleSampler(WALKERS, target.size, target.densities, moves=moves, vectorize=True)
+    sampler = emcee.EnsembleSampler(WALKERS, target.size, target.walked, moves=moves, vectorize=True)
     state = emcee.State(start, random_state=np.random.RandomState(seed & 0xFFFFFFFF).get_state())
 
     def told(steps: int, share: float) -> None:
@@ -286,7 +287,8 @@ def sample(
     if poor and not np.abs(chain - target.centre).max() < FAR:
         msg = f"importance sampling is worth {weighed.worth:.0f} draws, and walkers left the data"
         raise ArithmeticError(msg)
-    return Sampled(chain, sampler.get_log_prob()[kept_steps].T, converged, acceptance, detail)
+    vectors = None if (told_of := sampler.get_blobs()) is None else np.swapaxes(told_of[kept_steps], 0, 1)
+    return Sampled(chain, sampler.get_log_prob()[kept_steps].T, converged, acceptance, detail, vectors)
 
 
 def _started(target: Target, points: FloatArray, weights: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -90,11 +90,11 @@ class FitOptions:
     model: str | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class FittedSpecimen:
     """A fit with what a posterior is built from."""
 
-    fit: SpecimenFit
+    bare: SpecimenFit  # without what is quoted
     handles: tuple[LogHandle, ...]
     identified: Identified
     noise: NoiseFit
@@ -104,6 +104,16 @@ class FittedSpecimen:
     quoted: Callable[[TissueEstimate], tuple[Quoted, list[Flag]]] = field(repr=False)
     #: The same at another point, with other parameters and noise.
     moved: Callable[[Point], FittedSpecimen] = field(repr=False)
+
+    @cached_property
+    def fit(self) -> SpecimenFit:
+        """The fit with what is quoted at its optimum."""
+        return self.quoting(self.bare, self.tissue)
+
+    def quoting(self, fit: SpecimenFit, tissue: TissueEstimate) -> SpecimenFit:
+        """A fit with what is quoted of a tissue."""
+        quoted, said = self.quoted(tissue) if self.identified.quotable else (None, [])
+        return replace(fit, quoted=quoted, flags=(*fit.flags, *said))
 
 
 def request_of(options: FitOptions, priors: Priors, *, machine: bool) -> Request:
@@ -238,21 +248,17 @@ class _Found:
             force_of=lambda i, log: force_along(found, self.handles[i], log, i, point),
             looks=looks,
         )
-        quoted_of = partial(self._quoted, told)
-        quoted, said = quoted_of(here) if found.quotable else (None, [])
-        flags, unloading, missed = (*self._flags(here, told, point), *said, *self.moved), None, None
+        flags, unloading, missed = (*self._flags(here, told, point), *self.moved), None, None
         if self.followed is None or not self.options.unloading:
             missed = unloading_miss(found, self.handles, point)
             flags = (*flags, *unsettled(self.followed))
         else:
             unloading, more = unloading_verdict(self.followed, here, adjustments, sigma_N=self.noise.sigma_N)
             flags = (*flags, *more)
-        fit = replace(
-            self._told(here, told), flags=_one_form(flags),
-            unloading=unloading, quoted=quoted, unloading_predicted=missed,
-        )  # fmt: skip
-        moved = partial(self.at, looks=told.looks)
-        return FittedSpecimen(fit, self.handles, found, self.noise, here, told, quoted_of, moved)
+        numbers, flags = self._told(here, told), _one_form(flags)
+        fit = replace(numbers, flags=flags, unloading=unloading, unloading_predicted=missed)
+        moved, quoted = partial(self.at, looks=told.looks), partial(self._quoted, told)
+        return FittedSpecimen(fit, self.handles, found, self.noise, here, told, quoted, moved)
 
     def _flags(self, here: TissueEstimate, told: Summaries, point: Point) -> tuple[Flag, ...]:
         """Everything that is to be said of the fit itself."""

@@ -196,15 +196,13 @@ def second_pass(
             while len(running) > workers:
                 found.append(running.popleft().result())
         found += [one.result() for one in running]
-    totals = ResidualTotals()
-    for one in found:
-        totals.merge(one.totals)
-    rmse = float(np.sqrt(totals.squares / totals.count))
+    squares, force, samples, low, high = zip(*(one.totals for one in found), strict=True)
+    rmse = float(np.sqrt(sum(squares) / sum(samples)))
     return Summaries(
         trials=tuple(one.trial for one in found),
         cycles=tuple(row for one in found for row in one.cycles),
         looks=tuple(one.look for one in found),
-        nrmsd=over_force(rmse, totals.high - totals.low, abs(totals.force / totals.count)),
+        nrmsd=over_force(rmse, max(high) - min(low), sum(force) / sum(samples)),
         blocks=tuple(one.blocks for one in found),
     )
 
@@ -228,10 +226,9 @@ def _one_log(
             relaxation=relaxation_rows(trial, segmentation, ladders),
             holds=hold_numbers(trial, segmentation),
         )
-    totals = ResidualTotals()
     blocks = residual_blocks(segmentation, log, model, theta, adjustment, fitted)
     summary = residual_summary(log, fitted, blocks, sigma_N=known.noise.sigma_N)
-    told = summarise_trial(trial, segmentation, log, fitted=fitted, adjustment=adjustment, totals=totals)
+    told, totals = summarise_trial(trial, segmentation, log, fitted=fitted, adjustment=adjustment)
     told = replace(told, residual=summary, measured=look.measured)
     cycles = with_model_viscosity(trial, segmentation, look.cycles, model, theta, adjustment)
     return _OneLog(totals, told, cycles, look, blocks)

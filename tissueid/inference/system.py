@@ -296,21 +296,21 @@ class System:
         """One pole, exact where the force is linear in between; at rest before the first point."""
         z = self.step / pole[..., None]
         # deviation d = force - filtered follows d' + d / pole = force'
-        right = -np.expm1(-z) / np.maximum(z, 1e-12) * self._change(force)
-        return np.asarray(force - driven(np.exp(-z), right + TINY))
+        right = self._change(force)
+        right *= -np.expm1(-z) / np.maximum(z, 1e-12)
+        right += TINY
+        late = driven(np.exp(-z), right)
+        return np.subtract(force, late, out=late)
 
     def _late(self, force: FloatArray, skew: FloatArray) -> FloatArray:
         """Force ``skew`` seconds ago, on the line between neighbouring points."""
-        change, late = self._change(force), skew[..., None]
-        out = force
-        if (skew > 0.0).any():
-            out = out - np.clip(late / self.step, 0.0, 1.0) * change
+        change, late, out = self._change(force), skew[..., None], force.copy()
         if (skew < 0.0).any():
-            ahead = np.append(self.step[1:], np.inf)
-            following = np.zeros(force.shape)
-            following[..., :-1] = change[..., 1:]
-            out = out + np.clip(-late / ahead, 0.0, 1.0) * following
-        return np.asarray(out)
+            out[..., :-1] += np.clip(-late / self.step[1:], 0.0, 1.0) * change[..., 1:]
+        if (skew > 0.0).any():
+            change *= np.clip(late / self.step, 0.0, 1.0)
+            out -= change
+        return out
 
     def offsets(self, point: Point) -> FloatArray:
         """Contact offset of each log over the largest depth, late as force is recorded; (n, logs)."""

@@ -59,6 +59,9 @@ class Target(Protocol):
     def densities(self, z: FloatArray) -> FloatArray:
         """Log densities of rows of points, (n, d) -> (n,)."""
 
+    def walked(self, z: FloatArray) -> FloatArray:
+        """The same, or with vectors of the points behind them, (n, 1 + size)."""
+
 
 class SpecimenTarget:
     """Log posterior density of a specimen about the optimum of its law."""
@@ -270,12 +273,12 @@ class SpecimenTarget:
         """Curves along coordinates that are far from normal."""
         return ridges_of(self)
 
-    def levels(self, x: FloatArray, z: FloatArray) -> FloatArray:
-        """Log densities of vectors, of linear parameters that follow by their coordinates, (n,)."""
+    def levels(self, x: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Log densities of vectors, (n,), and these with linear parameters that follow, (n, size)."""
         if not self.follows:
-            return self.density(x)
-        parts = self._followed(x, z)
-        return np.concatenate([self._density(one, given) + ln_volume for one, given, ln_volume in parts])
+            return self.density(x), x
+        parts = [(self._density(one, given) + volume, one) for one, given, volume in self._followed(x, z)]
+        return np.concatenate([level for level, _ in parts]), np.concatenate([one for _, one in parts])
 
     def _straight(self, z: FloatArray) -> FloatArray:
         """Points with the cut machine by quantiles of its prior -> whitened points, (..., d) -> (..., d).
@@ -508,13 +511,17 @@ class SpecimenTarget:
 
     def densities(self, z: FloatArray) -> FloatArray:
         """Log densities of points whose cut machine is given by quantiles, (n, d) -> (n,)."""
+        return self.walked(z)[:, 0]
+
+    def walked(self, z: FloatArray) -> FloatArray:
+        """The same, and the points' vectors behind them, (n, d) -> (n, 1 + size)."""
         x = self._spread(z)
-        out = self.levels(x, z)
+        out, vectors = self.levels(x, z)
         for k, (at, one) in enumerate(zip(self.cut_places, self._cut.values(), strict=False)):
             off = (x[:, at] - one.mean) / one.sd
             out += 0.5 * off**2 - 0.5 * z[:, k] ** 2
         if self.straight:
-            return out
+            return np.column_stack([out, vectors])
         rest, machine = self.still_places, len(self.machine_places)
         for place, curve in self.ridges.quantiles.items():
             out += straight_beyond(curve, z[:, machine + rest.index(place)])[1]
@@ -524,7 +531,7 @@ class SpecimenTarget:
             out += np.log(roots).sum(axis=1)
         if self.ridges.ln_scale is not None:
             out += self.law.linear * np.log(x @ self.scale)
-        return out
+        return np.column_stack([out, vectors])
 
 
 class NormalTarget:
@@ -550,6 +557,8 @@ class NormalTarget:
     def densities(self, z: FloatArray) -> FloatArray:
         """Log densities of whitened points, walls apart, (n, d) -> (n,)."""
         return np.asarray(-0.5 * ((z - self.centre) ** 2).sum(axis=1))
+
+    walked = densities
 
     def passive(self, z: FloatArray, held: int = 0) -> FloatArray:
         """Nearest points within the walls, (n, d) -> (n, d), the first ``held`` coordinates as they are."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,31 +57,20 @@ class Adjustment:
     time_ratio: float = 1.0  # relaxation times over those of the tissue
 
 
-@dataclass(slots=True)
-class ResidualTotals:
-    """Running totals for the NRMSD over all fitted samples of a specimen."""
+class ResidualTotals(NamedTuple):
+    """Sums over the fitted samples of a log, for the NRMSD of its specimen."""
 
-    squares: float = 0.0
-    force: float = 0.0
-    count: int = 0
-    low: float = np.inf
-    high: float = -np.inf
+    squares: float
+    force: float
+    samples: int
+    low: float
+    high: float
 
-    def add(self, force: FloatArray, model: FloatArray) -> None:
-        """Count one trial in."""
-        self.squares += float(((force - model) ** 2).sum())
-        self.force += float(np.abs(force).sum())
-        self.count += force.size
-        self.low = min(self.low, float(force.min()))
-        self.high = max(self.high, float(force.max()))
-
-    def merge(self, other: ResidualTotals) -> None:
-        """Count the trials of other totals in."""
-        self.squares += other.squares
-        self.force += other.force
-        self.count += other.count
-        self.low = min(self.low, other.low)
-        self.high = max(self.high, other.high)
+    @classmethod
+    def of(cls, force: FloatArray, model: FloatArray) -> ResidualTotals:
+        """Sums of one log."""
+        squares, whole = float(((force - model) ** 2).sum()), float(np.abs(force).sum())
+        return cls(squares, whole, force.size, float(force.min()), float(force.max()))
 
 
 def _after_corners(corners: Sequence[tuple[int, int]]) -> set[int]:
@@ -137,12 +127,10 @@ def summarise_trial(
     *,
     fitted: FloatArray,
     adjustment: Adjustment,
-    totals: ResidualTotals,
-) -> TrialFit:
-    """Residuals of one trial under its specimen's model; ``totals`` are updated."""
+) -> tuple[TrialFit, ResidualTotals]:
+    """Residuals of one trial under its specimen's model, and their sums."""
     data, include = log.data, log.data.include
     force, predicted = data.force_N[include], fitted[include]
-    totals.add(force, predicted)
     residual = force - predicted
     spread = float(np.ptp(force))
     worst_N = float(np.abs(residual).max())
@@ -152,7 +140,7 @@ def summarise_trial(
     corners = [(phase.start - first, phase.stop - first) for phase in segmentation.of_kind("hold")]
     fixed = {i for i in _after_corners(corners) if 0 <= i < data.force_N.size}
     keep = kept_samples((data.force_N, data.depth_mm), CURVE_POINTS, CURVE_POINTS - len(fixed), fixed)
-    return TrialFit(
+    told = TrialFit(
         path=trial.source.path,
         sheet=trial.source.sheet,
         nrmsd=nrmsd(force, predicted),
@@ -173,3 +161,4 @@ def summarise_trial(
         ),
         flags=_trial_flags(trial, segmentation, log, worst_N=worst_N, share=share, acf=acf),
     )
+    return told, ResidualTotals.of(force, predicted)

@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-import tomlkit
-
 from tissueid.digits import number, with_error
 from tissueid.documents.inspect import Trial
 
@@ -59,7 +57,9 @@ def toml_value(value: Any) -> str:
     """A number, boolean, string or flat map as TOML writes it."""
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {toml_value(one)}" for key, one in value.items()) + " }"
-    return str(tomlkit.item(value).as_string())
+    from tomlkit import item
+
+    return str(item(value).as_string())
 
 
 def _entry(
