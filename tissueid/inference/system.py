@@ -296,10 +296,10 @@ class System:
         """One pole, exact where the force is linear in between; at rest before the first point."""
         z = self.step / pole[..., None]
         # deviation d = force - filtered follows d' + d / pole = force'
-        right = self._change(force)
-        right *= -np.expm1(-z) / np.maximum(z, 1e-12)
+        right, fallen = self._change(force), np.expm1(-z)
+        right *= fallen / -np.maximum(z, 1e-12)
         right += TINY
-        late = driven(np.exp(-z), right)
+        late = driven(fallen + 1.0, right)
         return np.subtract(force, late, out=late)
 
     def _late(self, force: FloatArray, skew: FloatArray) -> FloatArray:
