@@ -232,7 +232,8 @@ class ChannelLaw:
         values = self._values(log_times)
         self._static_columns(path, values, out)
         if self.inside:
-            static = out.copy()
+            # the elastic curve is a log's own, gain and all
+            static = path.gained(out).copy()
             for j, state in enumerate(self._relaxed(path, static, values)):
                 out += self._of_branch(values, j)[0] * state
             return out
@@ -243,7 +244,7 @@ class ChannelLaw:
             for k in range(1, self.powers):
                 np.multiply(out[at + k - 1], u, out=out[at + k])
             at += self.powers
-        return out
+        return path.gained(out)
 
     def _static_slope(self, values: list[Any], path: Path, linear: FloatArray) -> FloatArray:
         """F_s' by depth over the largest depth, (m,) [N]."""
@@ -252,8 +253,8 @@ class ChannelLaw:
         slope = self.static.slope(path.depth_mm, *shapes) * self.depth_mm / full
         return np.asarray(linear[: self.static_size] @ slope)
 
-    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray) -> Slopes:
-        """F_s' + sum_j K_j' s_j at once, K_j through the states, and what is inside the convolution."""
+    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray, force: FloatArray) -> Slopes:
+        """F_s' + sum_j K_j' s_j at once, K_j through the states, and what is inside; ``force``: the whole."""
         values, u = self._values(log_times), path.depth_mm / self.depth_mm
         direct = self._static_slope(values, path, linear)
         found = list(self._parts(values, None))
@@ -262,6 +263,10 @@ class ChannelLaw:
         if self.inside:
             ratios = [self._of_branch(values, j)[0] for j in range(self.branches)]
             share = np.concatenate([ratio * one for ratio, one in zip(ratios, weights, strict=True)])
+            if path.rise is not None:
+                self._static_columns(path, values, columns := np.empty((self.linear, u.size)))
+                direct = direct + path.rise * (linear @ columns)
+            direct = path.gained(direct)
             return Slopes(direct, np.zeros((tau.size, u.size)), tau, share[:, None] * direct)
         rows = linear[self.static_size :].reshape(self.branches, self.powers).T
         stiffness = np.polynomial.polynomial.polyval(u, rows)
@@ -270,7 +275,7 @@ class ChannelLaw:
             bend = np.polynomial.polynomial.polyval(u, np.polynomial.polynomial.polyder(rows))
             states = np.stack(list(self._relaxed(path, u, values)))
             direct = direct + (bend * states).sum(axis=0)
-        return Slopes(direct, np.asarray(outer), tau)
+        return Slopes(path.gained(direct), path.gained(np.asarray(outer)), tau).rising(path, force)
 
     def passive(self, block: Block) -> FloatArray:
         """Rows that keep a block passive: F_s / x, or F_s' inside, or K_j non-negative on [0, depth]."""
@@ -388,12 +393,12 @@ class DampedLaw(ChannelLaw):
         numbers = range(self.logs) if self.only is None else self.only
         for number, first, last in zip(numbers, path.fresh, ends, strict=True):
             out[self.static_size + number, ..., first:last] = 1.0
-        return out
+        return path.gained(out)
 
-    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray) -> Slopes:
+    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray, force: FloatArray) -> Slopes:
         """F_s' (1 + chi r); what a frame gives way to changes the depth, not the measured speed."""
         direct = self._static_slope(self._values(log_times), path, linear) * self._damped(log_times, path)
-        return Slopes(direct, np.zeros((1, direct.size)), np.ones(1))
+        return Slopes(path.gained(direct), np.zeros((1, direct.size)), np.ones(1)).rising(path, force)
 
     def theta(self, log_times: FloatArray, linear: FloatArray, *, exact: bool = False) -> FloatArray:
         """Theta of the contact model, of one point or of rows of points; readings in air are none of it."""

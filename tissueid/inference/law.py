@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -30,6 +30,13 @@ class Path:
     fresh: NDArray[np.int64]  # first point of each log
     #: (m,): speed over that at which each contact began, as recorded; zero where no law follows it.
     speed_ratio: FloatArray = field(default_factory=lambda: np.zeros(1))
+    #: (m,) and (n, m): gain of the logs, and its derivative in ln by depth over the largest; none without.
+    gain: FloatArray | None = None
+    rise: FloatArray | None = None
+
+    def gained(self, values: FloatArray) -> FloatArray:
+        """Values times the gain, in place."""
+        return values if self.gain is None else np.multiply(values, self.gain, out=values)
 
 
 def driven(decay: FloatArray, right: FloatArray) -> FloatArray:
@@ -105,6 +112,15 @@ class Slopes:
     outer: FloatArray  # (j, m)
     tau_s: FloatArray  # (j,)
     inner: FloatArray | None = None  # (j, m); None where nothing stands inside the convolution
+
+    def rising(self, path: Path, force: FloatArray) -> Slopes:
+        """Slopes of a force that a gain multiplies outside the convolution."""
+        return self if path.rise is None else replace(self, direct=self.direct + path.rise * force)
+
+    def within(self, touching: NDArray[np.bool_]) -> Slopes:
+        """Slopes that are none in air."""
+        inner = None if self.inner is None else self.inner * touching
+        return replace(self, direct=self.direct * touching, outer=self.outer * touching, inner=inner)
 
     def sudden(self, path: Path) -> FloatArray:
         """Change of the force by a change of depth within one step, shape (m,)."""

@@ -70,8 +70,9 @@ def observed_columns(system: System, law: ChannelLaw, shapes: FloatArray, at: Po
     still[0] = 0.0
     compliance = at.machine[0] / system.depth_mm
     path = wide.path(wide.travel - wide.contact(point) - compliance * wide.guess)
-    gain = wide.gain(point, path.depth_mm / system.depth_mm)
-    return np.asarray(wide.means(wide.recorded(gain * law.columns(shapes, path), still)).T) @ _generators(law)
+    if system.effects.gain:
+        path = replace(path, gain=wide.gain(point, path.depth_mm / system.depth_mm))
+    return np.asarray(wide.means(wide.recorded(law.columns(shapes, path), still)).T) @ _generators(law)
 
 
 def _generators(law: ChannelLaw) -> FloatArray:

@@ -254,12 +254,13 @@ class System:
         entered = np.flatnonzero(touching[1:] & ~touching[:-1]) + 1
         entered = entered[~self.first[entered % depth.shape[-1]]]
         share = flat[entered] / (flat[entered] - flat[entered - 1])
-        below = np.maximum(depth, 0.0) * self.depth_mm
+        u = np.maximum(depth, 0.0)
         step = self.step
         if point is not None and self.effects.time:
             # a log that relaxes slower is one whose clock runs slower
             step = step * self.at_points(np.exp(-slower - point.own[..., self.effects.time_at]))
-        return Path(step, below, entered, share, self.fresh, self.speed_ratio)
+        gain = None if point is None or not self.effects.gain else self.gain(point, u)
+        return Path(step, u * self.depth_mm, entered, share, self.fresh, self.speed_ratio, gain)
 
     def at_points(self, values: FloatArray) -> FloatArray:
         """Values of the logs at each of their points, (..., logs) -> (..., m)."""
@@ -322,9 +323,7 @@ class System:
         return self.at_points(self.offsets(point))
 
     def gain(self, point: Point, u: FloatArray) -> FloatArray:
-        """Gain of each point at depths over the largest depth, (m,), (n, m) or (1,)."""
-        if not self.effects.gain:
-            return np.ones(1)
+        """Gain of each point at depths over the largest depth, (m,) or (n, m)."""
         ln_gain = self.at_points(point.own[..., 0])
         if self.effects.shape:
             ln_gain = ln_gain + self._by_shape(point, _shape(u))
@@ -356,8 +355,6 @@ class System:
         for _ in range(1 + rounds * yields):
             path = self.path(self._behind(point, force), point)
             columns = self.law.columns(point.log_times, path)
-            if self.effects.gain:
-                columns *= self.gain(point, path.depth_mm / self.depth_mm)
             found = weighted(columns, point.linear)
             # what the frame gives way to on the way there
             force = force + self.soft * (found - force) if yields else found
@@ -399,14 +396,12 @@ class System:
 
     def _slopes(self, point: Point, path: Path) -> Slopes:
         """Answer of the force to changes of depth, gains in it; none in air."""
-        u = path.depth_mm / self.depth_mm
-        slopes, gain = self.law.slopes(point.log_times, path, point.linear), self.gain(point, u)
-        direct = gain * slopes.direct
         if self.effects.shape:
+            u = path.depth_mm / self.depth_mm
             bend = np.stack([2.0 * (u - 1.0), 2.0 - 4.0 * u])  # derivatives of the shapes
-            direct = direct + self._by_shape(point, bend) * self.guess
-        touching = u > 0.0
-        return Slopes(np.where(touching, direct, 0.0), slopes.outer * (gain * touching), slopes.tau_s)
+            path = replace(path, rise=self._by_shape(point, bend))
+        slopes = self.law.slopes(point.log_times, path, point.linear, self.guess)
+        return slopes.within(path.depth_mm > 0.0)
 
     def _given_way(self, point: Point, path: Path, rows: FloatArray) -> FloatArray:
         """Changes of the force that are left of ``rows``, the frame giving way to them, (c, m)."""
@@ -449,27 +444,22 @@ class System:
         base = self.guess if follow and self.settled else self.tip_force(point)[0]
         behind = self._behind(point, base)
         path = self.path(behind, point)
-        gain = self.gain(point, path.depth_mm / self.depth_mm)
         # differences are of forces on one and the same path
-        columns = gain * self.law.columns(point.log_times, path)
+        columns = self.law.columns(point.log_times, path)
         still = point.linear @ columns
         parts = []
         for j in range(self.law.times):
             times = point.log_times.copy()
             times[j] += STEP_LN
-            moved = gain * (point.linear @ self.law.columns(times, path))
+            moved = point.linear @ self.law.columns(times, path)
             parts.append((moved - still) / STEP_LN)
         by_force = np.where(path.depth_mm <= 0.0, 0.0, -base / self.depth_mm)[None]
         none = np.zeros(base.size)
         parts += [self._slopes(point, path).change(path, by_force)[0] if machine else none]
-        deeper = self.path(behind + STEP_DEPTH, point)
-        moved = self.gain(point, deeper.depth_mm / self.depth_mm) * (
-            point.linear @ self.law.columns(point.log_times, deeper)
-        )
+        moved = point.linear @ self.law.columns(point.log_times, self.path(behind + STEP_DEPTH, point))
         by_contact = (still - moved) / STEP_DEPTH
         parts += [-self.at_points(self.onset) * by_contact if machine else none, *columns]
-        by_time = self._by_time(point, behind, (gain, still), parts[: self.law.times])
-        parts += self._by_own(base, behind, [by_contact, *by_time])
+        parts += self._by_own(point, path, behind, (base, still, by_contact, parts[: self.law.times]))
         tip = np.stack(parts)
         if self._yields(point):
             tip = self._given_way(point, path, tip)
@@ -494,27 +484,30 @@ class System:
             own[:, int(self.effects.gain)] += by[:, -1]
         return Derivatives(found[:, 0] + self._carried(point), shared, own)
 
-    def _by_time(
-        self, point: Point, behind: FloatArray, here: tuple[FloatArray, FloatArray], parts: list[FloatArray]
-    ) -> list[FloatArray]:
-        """Derivative by a log's ln time, if it has one; ``here``: gain and force, ``parts``: by ln times."""
-        if not self.effects.time:
-            return []
-        if self.law.model_of is None:
-            # nothing else is sought in its logarithm: all times move together
-            return [sum(parts, np.zeros(behind.size))]
-        gain, still = here
-        slower = self.law.columns(point.log_times, self.path(behind, point, STEP_LN))
-        return [(gain * (point.linear @ slower) - still) / STEP_LN]
-
     def _by_own(
-        self, base: FloatArray, behind: FloatArray, by_contact_and_time: list[FloatArray]
+        self,
+        point: Point,
+        path: Path,
+        behind: FloatArray,
+        here: tuple[FloatArray, FloatArray, FloatArray, list[FloatArray]],
     ) -> list[FloatArray]:
-        """Derivatives of the force at the tip by what is a log's own, the frame held; (m,) each."""
-        out = []
-        if self.effects.gain:
-            out.append(base)
-        out += by_contact_and_time
+        """Derivatives of the force at the tip by what is a log's own, the frame held; (m,) each.
+
+        ``here``: that force, with the frame and on the path, and its derivatives by contact and ln times.
+        """
+        base, still, by_contact, by_times = here
+        out = [base, by_contact] if self.effects.gain else [by_contact]
+        if self.effects.time and self.law.model_of is None:
+            # nothing else is sought in its logarithm: all times move together
+            out.append(sum(by_times, np.zeros(behind.size)))
+        elif self.effects.time:
+            slower = self.law.columns(point.log_times, self.path(behind, point, STEP_LN))
+            out.append((point.linear @ slower - still) / STEP_LN)
         if self.effects.shape:
-            out += list(base * _shape(np.maximum(behind, 0.0)))
+            curves = _shape(np.maximum(behind, 0.0))
+            if self.law.model_of is None:
+                return [*out, *(base * curves)]
+            for one in curves:
+                bent = replace(path, gain=one if path.gain is None else path.gain * one)
+                out.append(point.linear @ self.law.columns(point.log_times, bent))
         return out
