@@ -9,7 +9,7 @@ import pytest
 from inference_cases import draw, handle_for, small_recipe, true_segmentation
 
 import tissueid
-from tissueid.inference.frame_effect import _moving_mean, beyond_calibration, machine_flag, tip_handles
+from tissueid.inference.frame_effect import beyond_calibration, machine_flag, tip_handles
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.manifest import FrameCurve
 from tissueid.model.channels import loading_force
@@ -94,13 +94,6 @@ def test_forces_far_beyond_the_calibration_are_told():
     )
     assert [beyond_calibration(curve, force) for force in (149.0, 151.0)] == [False, True]
     assert not beyond_calibration(linear_frame(STIFFNESS), 1e9)
-
-
-def test_a_moving_mean_keeps_a_line():
-    values = np.arange(20.0)
-    np.testing.assert_allclose(_moving_mean(values, 5)[2:-2], values[2:-2])
-    assert _moving_mean(values, 5).size == 20
-    np.testing.assert_array_equal(_moving_mean(values[:1], 5), values[:1])
 
 
 FRAME = "frame_compliance_mm_per_N"

@@ -253,8 +253,8 @@ class ChannelLaw:
         slope = self.static.slope(path.depth_mm, *shapes) * self.depth_mm / full
         return np.asarray(linear[: self.static_size] @ slope)
 
-    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray, force: FloatArray) -> Slopes:
-        """F_s' + sum_j K_j' s_j at once, K_j through the states, and what is inside; ``force``: the whole."""
+    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray) -> Slopes:
+        """F_s' + sum_j K_j' s_j at once, K_j through the states, and what is inside the convolution."""
         values, u = self._values(log_times), path.depth_mm / self.depth_mm
         direct = self._static_slope(values, path, linear)
         found = list(self._parts(values, None))
@@ -275,7 +275,7 @@ class ChannelLaw:
             bend = np.polynomial.polynomial.polyval(u, np.polynomial.polynomial.polyder(rows))
             states = np.stack(list(self._relaxed(path, u, values)))
             direct = direct + (bend * states).sum(axis=0)
-        return Slopes(path.gained(direct), path.gained(np.asarray(outer)), tau).rising(path, force)
+        return Slopes(path.gained(direct), path.gained(np.asarray(outer)), tau)
 
     def passive(self, block: Block) -> FloatArray:
         """Rows that keep a block passive: F_s / x, or F_s' inside, or K_j non-negative on [0, depth]."""
@@ -395,10 +395,10 @@ class DampedLaw(ChannelLaw):
             out[self.static_size + number, ..., first:last] = 1.0
         return path.gained(out)
 
-    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray, force: FloatArray) -> Slopes:
+    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray) -> Slopes:
         """F_s' (1 + chi r); what a frame gives way to changes the depth, not the measured speed."""
         direct = self._static_slope(self._values(log_times), path, linear) * self._damped(log_times, path)
-        return Slopes(path.gained(direct), np.zeros((1, direct.size)), np.ones(1)).rising(path, force)
+        return Slopes(path.gained(direct), np.zeros((1, direct.size)), np.ones(1))
 
     def theta(self, log_times: FloatArray, linear: FloatArray, *, exact: bool = False) -> FloatArray:
         """Theta of the contact model, of one point or of rows of points; readings in air are none of it."""

@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from threadpoolctl import threadpool_limits
 
 from tissueid.arrays import FloatArray
@@ -41,16 +42,6 @@ UNLOADING_SAMPLES = 11
 ROUNDS = 2
 #: A force this many times the largest calibrated one can't be corrected.
 BEYOND_LIMIT = 1.5
-
-
-def _moving_mean(values: FloatArray, samples: int) -> FloatArray:
-    """Mean over an odd number of samples about each, fewer where that is the whole of them."""
-    half = min(samples, values.size - 1) // 2
-    if half < 1:
-        return values
-    padded = np.pad(values, half, mode="reflect")
-    total = np.concatenate([[0.0], np.cumsum(padded)])
-    return np.asarray((total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1))
 
 
 def beyond_calibration(frame: FrameCurve, force_N: float) -> bool:
@@ -138,7 +129,7 @@ def _corrected(
     # the tool is in air before contact
     force = np.zeros_like(measured)
     stop = log.first + expected.size
-    force[stop:] = _moving_mean(measured[stop:], UNLOADING_SAMPLES)
+    force[stop:] = uniform_filter1d(measured[stop:], UNLOADING_SAMPLES, mode="mirror")
     force[log.first : stop] = expected
     flag = _flag(frame, float(force.max()))
     return _moved(handle, handle.segmentation.compression_sign * deflection(frame, force), (flag,))

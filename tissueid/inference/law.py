@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -112,15 +112,6 @@ class Slopes:
     outer: FloatArray  # (j, m)
     tau_s: FloatArray  # (j,)
     inner: FloatArray | None = None  # (j, m); None where nothing stands inside the convolution
-
-    def rising(self, path: Path, force: FloatArray) -> Slopes:
-        """Slopes of a force that a gain multiplies outside the convolution."""
-        return self if path.rise is None else replace(self, direct=self.direct + path.rise * force)
-
-    def within(self, touching: NDArray[np.bool_]) -> Slopes:
-        """Slopes that are none in air."""
-        inner = None if self.inner is None else self.inner * touching
-        return replace(self, direct=self.direct * touching, outer=self.outer * touching, inner=inner)
 
     def sudden(self, path: Path) -> FloatArray:
         """Change of the force by a change of depth within one step, shape (m,)."""

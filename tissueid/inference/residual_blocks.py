@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 
 from tissueid.arrays import FloatArray
 from tissueid.documents.identification import MisfitAlarm, MisfitCheck, NoiseFit
@@ -372,20 +372,15 @@ def _orthonormal(columns: FloatArray) -> FloatArray:
 
 def _project(logs: Sequence[ResidualBlocks], noise: NoiseFit) -> _Projected:
     roots = [np.asarray(np.linalg.cholesky(block_covariance(one, noise)), dtype=np.float64) for one in logs]
-    size = sum(one.count.size for one in logs)
-    own = np.zeros((size, sum(one.own.shape[1] for one in logs)))
-    shared, values = [], []
-    row = column = 0
-    for one, root in zip(logs, roots, strict=True):
-        k, q = one.own.shape
-        own[row : row + k, column : column + q] = solve_triangular(root, one.own, lower=True)
-        shared.append(solve_triangular(root, one.shared, lower=True))
-        values.append(solve_triangular(root, one.mean_N, lower=True))
-        row, column = row + k, column + q
-    basis = _orthonormal(np.concatenate([own, np.concatenate(shared)], axis=1))
-    value = np.concatenate(values)
+
+    def whitened(name: str) -> list[FloatArray]:
+        pairs = zip(logs, roots, strict=True)
+        return [solve_triangular(root, getattr(one, name), lower=True) for one, root in pairs]
+
+    basis = _orthonormal(np.hstack([block_diag(*whitened("own")), np.concatenate(whitened("shared"))]))
+    value = np.concatenate(whitened("mean_N"))
     residual = value - basis @ (basis.T @ value)
-    return _Projected(residual, basis, size - basis.shape[1], roots)
+    return _Projected(residual, basis, value.size - basis.shape[1], roots)
 
 
 def _effective(logs: Sequence[ResidualBlocks], noise: NoiseFit) -> float:

@@ -400,8 +400,13 @@ class System:
             u = path.depth_mm / self.depth_mm
             bend = np.stack([2.0 * (u - 1.0), 2.0 - 4.0 * u])  # derivatives of the shapes
             path = replace(path, rise=self._by_shape(point, bend))
-        slopes = self.law.slopes(point.log_times, path, point.linear, self.guess)
-        return slopes.within(path.depth_mm > 0.0)
+        slopes, touching = self.law.slopes(point.log_times, path, point.linear), path.depth_mm > 0.0
+        direct, inner = slopes.direct, slopes.inner
+        if inner is not None:
+            inner = inner * touching
+        elif path.rise is not None:
+            direct = direct + path.rise * self.guess
+        return Slopes(direct * touching, slopes.outer * touching, slopes.tau_s, inner)
 
     def _given_way(self, point: Point, path: Path, rows: FloatArray) -> FloatArray:
         """Changes of the force that are left of ``rows``, the frame giving way to them, (c, m)."""

@@ -340,9 +340,7 @@ class SpecimenTarget:
         x[:, at] += (-STEP, 0.0, STEP)
         values = self.density(x)
         value = (2.0 * values[1] - values[0] - values[2]) / STEP**2
-        if not np.isfinite(value):
-            return LEAST_CURVATURE
-        return float(np.clip(value, LEAST_CURVATURE, MOST_CURVATURE))
+        return float(np.clip(value if np.isfinite(value) else 0.0, LEAST_CURVATURE, MOST_CURVATURE))
 
     def _whiten(self) -> None:
         """Coordinates whitened about the optimum; walls and the centre of the normal in them."""

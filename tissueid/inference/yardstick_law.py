@@ -64,7 +64,7 @@ class YardstickLaw(ChannelLaw):
                 out[part.stiffness] = path.gained(present * relaxation_states(path, u, times)[0])
         return out
 
-    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray, force: FloatArray) -> Slopes:  # noqa: ARG002
+    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray) -> Slopes:  # noqa: ARG002
         """Slope of the static curve at once, of each node through what it follows."""
         x = path.depth_mm
         slope = self.static.slope(x) * self.depth_mm
