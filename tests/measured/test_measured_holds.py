@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 from pushed import pushed
 
 from tissueid.documents.measured import Measured
@@ -205,6 +206,15 @@ def test_logs_of_several_programs_are_not_pooled():
     assert (once, twice) == (1, 2)
     assert {row.count for row in rows if row.name == "force_over_peak"} == {1, 2}
     assert not any(row.reason for row in rows)
+
+
+def test_speeds_that_differ_by_rounding_have_no_spread():
+    one = measure(*recording())
+    (hold,) = one.holds
+    off = structs.replace(hold.push, speed_mm_s=float(np.nextafter(hold.push.speed_mm_s, 9.0)))
+    other = structs.replace(one, holds=(structs.replace(hold, push=off),))
+    (speed,) = (row for row in spread([one, other]) if row.name == "speed")
+    assert speed.sd == 0.0
 
 
 def test_a_program_is_a_speed_and_depths_that_contact_makes_differ():

@@ -89,6 +89,8 @@ def ramp_reason(time_s: float | None, ramp_times_s: Sequence[float], *, peak: bo
     return ""
 
 
+#: Numbers that differ by less of their mean do so by how they were computed.
+ROUNDING = 1e-12
 #: Numbers of a push, each with its unit.
 _PUSH_NUMBERS: tuple[tuple[str, str, Callable[[MeasuredPush], float | None]], ...] = (
     ("peak", "N", lambda push: push.peak.force_N),
@@ -179,6 +181,8 @@ def _row(
     pooled = bool(known) and not reason
     mean = float(np.mean(known)) if pooled else None
     sd = float(np.std(known, ddof=1)) if pooled and len(known) > 1 else None
+    if sd and mean and sd < ROUNDING * abs(mean):
+        sd = 0.0
     return Spread(
         name=name,
         unit=unit,
