@@ -225,6 +225,13 @@ def test_loops_and_quoted_numbers_have_tables_of_their_own():
     assert [row[key] for key in ("kind", "name", "time_s", "hold", "value", "sd", "logs", "stderr")] == [
         "measured", "force", "10.0", "1", "4.5", "0.25", "3", "",
     ]  # fmt: skip
+    # a force while loading is one of a depth, and of a program: its row says of which
+    given["specimens"][0]["measured"][0] |= {
+        "name": "force_at_depth", "time_s": None, "depth_mm": 0.5, "program": 2,
+    }  # fmt: skip
+    row = table("quantities", given)[-1]
+    keys = ("name", "time_s", "depth_mm", "program")
+    assert [row[key] for key in keys] == ["force_at_depth", "", "0.5", "2"]
 
 
 def test_the_bytes_are_rfc_4180_in_utf_8():

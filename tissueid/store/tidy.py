@@ -60,7 +60,8 @@ _HOLD = (
 _LOOP_PLAIN = ("number", "kind", "start_s", "peak_s", "end_s", "floor_mm", "peak_depth_mm")
 _LOOP_MEASURES = tuple(field.name for field in fields(Cycle) if field.type is Measure)
 _CONDITIONS = ("time_s", "frequency_Hz", "depth_mm", "amplitude_mm", "speed_mm_s", "formula", "path")
-_QUOTED = ("hold", "value", "stderr", "sd", "logs", "reason")
+_QUOTED = ("program", "hold", "value", "stderr", "sd", "logs", "reason")
+_MEASURED = ("name", "unit", "time_s", "depth_mm", "program", "hold", "sd", "reason")
 
 Row = dict[str, Any]
 
@@ -268,7 +269,7 @@ def _quantity_rows(document: Identification) -> Iterator[Row]:
                 at: Row = {key: getattr(one.at, key) for key in _CONDITIONS}
                 yield {"specimen": specimen.specimen, "kind": kind, **plain, **at}
         for row in specimen.measured or ():
-            plain = {key: getattr(row, key) for key in ("name", "unit", "time_s", "hold", "sd", "reason")}
+            plain = {key: getattr(row, key) for key in _MEASURED}
             more: Row = {"kind": "measured", "value": row.mean, "logs": row.count}
             yield {"specimen": specimen.specimen, **plain, **more}
 
