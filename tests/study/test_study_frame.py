@@ -196,6 +196,25 @@ def test_a_calibration_finds_the_frame_within_its_sd(frame, sign):
     assert 0.002 < sd[-1] / true[-1] < 0.05
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_loading_of_few_samples_says_nothing_of_forces_below_its_first(seed):
+    rng = np.random.default_rng(seed)
+    blocks = [rigid_block(linear_frame(1000.0), rng, scale=scale) for scale in (0.99, 1.0, 1.01)]
+    start = int(rng.integers(4))
+    # every fourth sample: 4 N apart, and binned in pairs they begin about the first knot, at 5.6 N
+    thinned = [
+        replace(one, time_s=one.time_s[start::4], displacement_mm=one.displacement_mm[start::4],
+                force_N=one.force_N[start::4])
+        for one in blocks
+    ]  # fmt: skip
+    document = calibrate_frame(thinned)
+    error = np.array(document["deflection_mm"]) - np.array(document["force_N"]) / 1000.0
+    # 1 % of 0.2 mm scatters; a compliance that nothing determined was 0, or moved all forces by 0.1 mm
+    assert (np.abs(error) <= 0.003).all()
+    assert (np.array(document["sd_mm"])[1:] < 0.006).all()
+    assert document["sd_mm"][1] > 1e-4
+
+
 def test_one_loading_assumes_a_repeatability_and_tissue_is_no_rigid_block():
     document = calibrate_frame([rigid_block(linear_frame(1000.0), np.random.default_rng(3))])
     assert document["repeatability_sd_mm"] is None

@@ -27,6 +27,8 @@ BINS = 60
 PIECES = 6
 #: Narrowest piece, in standard deviations of the binned force.
 NARROWEST_SD = 10.0
+#: Weight of equal neighbours beside the forces: they decide where a loading begins above the first knots.
+LEVEL = 1e-3
 #: A loading counts where it reaches this share of the largest force, and has so many samples.
 FULL_LOADING = 0.5
 FEWEST_SAMPLES = 12
@@ -101,10 +103,11 @@ def loadings_of(trial: Trial) -> list[Loading]:
 
 
 def _knots(loadings: Sequence[Loading], top_N: float) -> FloatArray:
-    """Knots at squares, so many that the first piece is still wide against the noise."""
+    """Knots at squares, so many that the first piece is wide against the noise and holds two bins."""
     noise = max(one.force_sd_N for one in loadings)
+    narrowest = max(NARROWEST_SD * noise, min(float(one.force_N[1]) for one in loadings))
     pieces = PIECES
-    while pieces > 1 and top_N / pieces**2 < NARROWEST_SD * noise:
+    while pieces > 1 and top_N / pieces**2 < narrowest:
         pieces -= 1
     return np.asarray(top_N * (np.arange(pieces + 1) / pieces) ** 2)
 
@@ -115,13 +118,19 @@ def _centred(knots: FloatArray, loading: Loading) -> tuple[FloatArray, FloatArra
     return basis - basis.mean(axis=0), loading.travel_mm - loading.travel_mm.mean()
 
 
+def _stacked(parts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    """Design of every loading, and that above rows that make neighbours equal where no force tells them."""
+    design = np.concatenate([part[0] for part in parts])
+    weight = LEVEL * float(np.sqrt((design**2).sum(axis=0)).max())
+    return design, np.concatenate([design, weight * np.diff(np.eye(design.shape[1]), axis=0)])
+
+
 def _solve(parts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
     """Compliances >= 0 and the residual of every bin."""
-    design = np.concatenate([part[0] for part in parts])
+    design, stacked = _stacked(parts)
     travel = np.concatenate([part[1] for part in parts])
-    scale = np.sqrt((design**2).sum(axis=0))
-    scale[scale == 0.0] = 1.0
-    found, _ = nnls(design / scale, travel)
+    scale = np.sqrt((stacked**2).sum(axis=0))
+    found, _ = nnls(stacked / scale, np.pad(travel, (0, len(stacked) - len(design))))
     compliance = found / scale
     return compliance, travel - design @ compliance
 
@@ -130,14 +139,14 @@ def _noise_covariance(
     parts: Sequence[tuple[FloatArray, FloatArray]], compliance: FloatArray, residual: FloatArray
 ) -> FloatArray:
     """Covariance of the compliances under the residual, its correlation from bin to bin included."""
-    design = np.concatenate([part[0] for part in parts])
+    _, stacked = _stacked(parts)
     free = compliance > 0.0
     used = int(free.sum()) + len(parts)
     variance = float((residual**2).sum()) / max(residual.size - used, 1)
     power = float((residual**2).sum())
     acf = float(np.clip(residual[:-1] @ residual[1:] / power, 0.0, 0.95)) if power > 0.0 else 0.0
     covariance = np.zeros((compliance.size, compliance.size))
-    inverse = np.linalg.pinv(design[:, free].T @ design[:, free], hermitian=True)
+    inverse = np.linalg.pinv(stacked[:, free].T @ stacked[:, free], hermitian=True)
     covariance[np.ix_(free, free)] = inverse * variance * (1.0 + acf) / (1.0 - acf)
     return covariance
 
