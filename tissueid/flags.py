@@ -258,7 +258,7 @@ _CAUTION = {
     "modulus_out_of_range": FlagKind("Range of the modulus",
         "the modulus formula was used outside the range it was derived for",
         "The modulus is an extrapolation of its formula; the stiffness stands.",
-        "Quote the stiffness, or state --thickness.", "have a modulus outside its formula's range"),
+        "Quote the stiffness, or press less deep.", "have a modulus outside its formula's range"),
     "poroelastic": FlagKind("Fluid flow", "relaxation may be fluid flow, not viscosity",
         "A relaxation time lies where fluid drains from under a contact of this size (a^2/D, D of 10⁻¹¹ "
         "to 10⁻⁸ m²/s); with another tip fluid flow slows with the square of its radius, viscosity does "

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from inference_cases import draw, handles_for, small_recipe
 
+from tissueid.flags import warning_line
 from tissueid.inference.quoted import depth_test
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.measured.geometry import Geometry, stated_geometry
@@ -159,6 +160,8 @@ def test_moduli_are_forces_over_the_tip_s_geometry(fit):
             assert one.unit == "kPa"
     (out,) = [flag for flag in fit.flags if flag.code == "modulus_out_of_range"]
     assert out.values["formulas"] == ["hayes", "dimitriadis", "hertz", "sneddon"]
+    # the thickness is stated: that is no way out
+    assert "thickness" not in warning_line(out.code, out.message)
     assert fit.quoted.assumptions.poisson == 0.5
 
 
