@@ -162,7 +162,7 @@ def _fit(
     )
 
 
-def _refuse_unused(model: str | None, study: Study | None) -> None:
+def refuse_unused(model: str | None, study: Study | None) -> None:
     """UsageError where a study states a prior of a parameter that the fitted law does not have."""
     priors, laws = _priors(study), candidates(model or KELVIN_VOIGT)
     unused = unused_priors(laws, (*priors.linear, *priors.shapes))
@@ -334,7 +334,7 @@ def identify(
         Its ``exit`` says whether something was left out or not identified.
     """
     options = with_model(options or IdentifyOptions(), study)
-    _refuse_unused(options.fit.model, study)
+    refuse_unused(options.fit.model, study)
     progress = progress or (lambda _message, _done, _total: None)
     collected = collection.collect(
         trials,

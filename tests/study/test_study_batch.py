@@ -115,6 +115,15 @@ def test_a_study_that_speaks_of_one_specimen_changes_that_one_only(again):
     assert len(before.items() & keys(again / "out").items()) == 2
 
 
+def test_a_prior_of_no_parameter_is_refused_alike_where_the_files_are_known(again):
+    write_study(again / "lab", "[priors.static_exponent]\nmedian = 1.5\nsd_ln = 0.1")
+    before = keys(again / "out")
+    # once these were failed jobs, with code 3, into a folder that knew its files
+    ended = fit(again / "lab", again / "out", code=2)
+    assert "[priors.static_exponent] is of no parameter of kelvin-voigt" in ended.stderr
+    assert keys(again / "out") == before
+
+
 def test_a_damaged_file_of_a_specimen_is_found_and_computed_again(again):
     numbers = numbers_of(again / "out")
     first, second, _ = sorted((again / "out" / "specimens").iterdir())

@@ -34,7 +34,7 @@ from tissueid.documents.identification import Exit
 from tissueid.errors import BundleError, InputError
 from tissueid.manifest import Study
 from tissueid.model.grammar import KELVIN_VOIGT, candidates
-from tissueid.pipeline import IdentifyOptions, exit_of, identify, run_provenance
+from tissueid.pipeline import IdentifyOptions, exit_of, identify, refuse_unused, run_provenance
 from tissueid.result import Identification, Refusal
 from tissueid.store.files import IDENTIFICATION, JsonList, replacing, sha256_of, write_file, write_json
 from tissueid.store.index import Index, JobRow
@@ -232,7 +232,9 @@ def fit_cohort(request: Request, run: OutputSet, progress: Progress) -> Assemble
     """Fit every specimen among some files and put the public set together, without committing it.
 
     Raises BundleError: the output can't be written, a full disk included; what is finished is kept.
+    UsageError: the study states a prior of a parameter that the law does not have.
     """
+    refuse_unused(request.options.fit.model, request.study)
     with Index(run.out) as index:
         index.begin_run(time.time(), {"pid": os.getpid(), "host": platform.node()}, len(request.found))
         state, reason = "failed", None
