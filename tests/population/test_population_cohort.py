@@ -209,6 +209,8 @@ def test_covariates_are_columns_and_levels_or_refused():
     assert design_of(six, None, ()).levels == ("donor",)
     assert design_of(six, None, ()).group.tolist() == [[0, 0, 1, 1, 2, 2]]
     assert design_of(alone, None, ()).levels == ()
+    # a covariate whose groups are compared is allowed for once: two columns of it would share its effect
+    assert len(design_of(six, "sex", ("sex",)).column_names) == len(design_of(six, "sex", ()).column_names)
 
 
 def with_one_gain(made: tuple[Member, ...], sd: float, rng: np.random.Generator) -> tuple[Member, ...]:

@@ -231,6 +231,8 @@ def design_of(members: Sequence[Member], group_by: str | None, covariates: Seque
         columns += more
         names += titles
     for key in dict.fromkeys(covariates):
+        if key == group_by:
+            continue
         values = _values(members, key)
         known = [value for value in values if value is not None]
         if any(isinstance(value, (str, bool)) for value in known):
