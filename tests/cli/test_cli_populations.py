@@ -150,7 +150,7 @@ def bundle(folder: Path, name: str, *, scale: float = 1.0, draws: int = 400) -> 
     known = theta * np.exp(0.01 * chance.standard_normal((draws, 1)) * np.array([1.0, 1.0, 1.0, 1.0, 0.0]))
     path = folder / f"{name}.h5"
     tissue = replace(PAPER_A, theta=theta, name=name)
-    write_bundle(bundle_of(tissue, draws=known), path)
+    write_bundle(bundle_of(tissue, draws=known if draws else None), path)
     return path
 
 
@@ -230,6 +230,8 @@ def test_curves_are_those_of_the_law(tmp_path):
         (400, (), "nothing to compare"),
         (20, ("again",), "too few"),
         (400, ("--interval", "total"), "output folder"),
+        (400, ("again", "--contact", "1"), "--contact is for recordings"),
+        (0, ("again", "--interval", "statistical"), "no draws; fit with a sampler\n"),
     ],
 )
 def test_what_cannot_be_compared_is_refused(tmp_path, draws, args, said):
@@ -254,7 +256,8 @@ def test_recordings_of_one_program_are_compared(tmp_path):
     assert rows["peak", None]["ratio"] == pytest.approx(1.5, rel=0.01)
     assert rows["force", 1.0]["ratio"] == pytest.approx(1.5, rel=0.01)
     assert rows["force_over_peak", 1.0]["reason"] is None
-    assert "force at 1 s [N]" in run("compare", one, other).stdout
+    assert "force at 1 s [N]" in run("compare", one, other, "-o", tmp_path / "two.sides").stdout
+    assert read_json(tmp_path / "two.sides" / "contrast.json") == document
 
 
 def test_a_share_of_the_peak_is_not_compared_between_ramps(shared_data):
@@ -270,6 +273,7 @@ def test_a_share_of_the_peak_is_not_compared_between_ramps(shared_data):
 def test_a_recording_beside_a_fit_or_alone_is_a_question(tmp_path):
     log = write_log(tmp_path / "a.csv")
     assert "name a second" in run("compare", log).stderr
+    assert "--clamp is for fits" in run("compare", log, log, "--clamp", "3", code=2).stderr
     assert "no such bundle" in run("compare", log, tmp_path / "b.h5").stderr
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "identification.json").write_text("{}", encoding="ascii")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from tissueid import __version__
 from tissueid.cli.flags import ABOVE_0, PATH, OutputFlags, argument, option, subcommand
+from tissueid.cli.flags import typed as typed_flags
 from tissueid.cli.output import checked, made_folder, note, progress_bar, tell, write_output
 from tissueid.cli.reading import ReadingFlags, read_all, read_options, segment_options
 from tissueid.digits import with_error
@@ -40,7 +41,7 @@ class _CompareFlags(ReadingFlags, OutputFlags):
         type=ABOVE_0, default=CLAMP_N, metavar="N",
     )
     output: str | None = option(
-        "Folder for contrast.json and contrast.html; or NAME.json, and NAME.html is written beside it.",
+        "Folder for contrast.json and, of fits, contrast.html; or NAME.json, and NAME.html beside it.",
         "-o", type=PATH,
     )
     # fmt: on
@@ -66,6 +67,10 @@ def command(flags: _CompareFlags) -> int:
     raw = [path for path in flags.paths if not _is_fit(Path(path.partition("::")[0]))]
     if raw and len(raw) < len(flags.paths):
         refuse(f"{raw[0]} is a recording, or none, and others are fits: compare recordings, or fits")
+    names = ("interval", "clamp") if raw else (one.name for one in fields(ReadingFlags))
+    for said in typed_flags(*names):
+        kind, other = ("fits", "recordings") if raw else ("recordings", "fits")
+        refuse(f"{said} is for {kind}, and {flags.paths[0]} is one of {other}: leave it out")
     if raw:
         return compare_recordings(flags)
     from tissueid.contrast.decision import contrast_document
@@ -91,9 +96,17 @@ def command(flags: _CompareFlags) -> int:
     whole = found | ({"measured": measured} if measured else {})
     written, document = checked(whole, "contrast", Contrast, where="contrast.json")
     if flags.output is not None:
-        _write(written, document, Path(flags.output), quiet=flags.quiet)
+        _write(written, document, _named(flags.output), quiet=flags.quiet)
     tell(flags, written, _lines(document))
     return 0
+
+
+def _named(output: str) -> Path:
+    """File of the document: as it is named, or in a folder that is made."""
+    target = Path(output)
+    if target.suffix not in {".json", ".html"}:
+        target = made_folder(target) / "contrast.json"
+    return target.with_suffix(".json")
 
 
 def _write(written: Any, document: Contrast, target: Path, *, quiet: int) -> None:
@@ -101,12 +114,10 @@ def _write(written: Any, document: Contrast, target: Path, *, quiet: int) -> Non
     from tissueid.report.contrast_page import render_contrast
     from tissueid.store.files import json_bytes, time_now
 
-    if target.suffix not in {".json", ".html"}:
-        target = made_folder(target) / "contrast.html"
     page = render_contrast(document, created=time_now())
-    write_output(target.with_suffix(".json"), json_bytes(written))
+    write_output(target, json_bytes(written))
     write_output(target.with_suffix(".html"), page.encode("utf-8"))
-    note(f"wrote {target.with_suffix('.json')} and {target.with_suffix('.html')}", quiet=quiet)
+    note(f"wrote {target} and {target.with_suffix('.html')}", quiet=quiet)
 
 
 def _tissues(path: Path, interval: str) -> list[tuple[Compared, list[Spread]]]:
@@ -143,7 +154,8 @@ def _compared(bundle: Bundle, stored: StoredPosterior | None, interval: str = "s
         draws = None if stored is None else stored.draws_total
     if draws is None:
         kind = " with the machine's calibration" if interval == "total" else ""
-        refuse(f"{bundle.specimen}: there are no draws{kind}; fit with a sampler, or --interval statistical")
+        way_out = ", or --interval statistical" if bundle.draws is not None else ""
+        refuse(f"{bundle.specimen}: there are no draws{kind}; fit with a sampler{way_out}")
     logs = len(bundle.provenance.get("inputs", ())) or None
     return Compared(bundle.specimen, model, draws, bundle.speeds_mm_s, total=interval == "total", logs=logs)
 
@@ -204,7 +216,7 @@ def compare_recordings(flags: _CompareFlags) -> int:
         "pairs": measured_pairs(sides),
     }
     if flags.output is not None:
-        write_output(Path(flags.output).with_suffix(".json"), json_bytes(written), quiet=flags.quiet)
+        write_output(_named(flags.output), json_bytes(written), quiet=flags.quiet)
     pairs = typed(plain(written), MeasuredContrast).pairs
     tell(flags, written, (line for pair in pairs for line in ("", *measured_pair_lines(pair))))
     return 0
