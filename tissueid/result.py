@@ -288,17 +288,17 @@ class SpecimenFit(Shown):
             **(_NO_POSTERIOR if self.posterior is None else self.posterior.as_json()),
             "flags": plain(self.flags),
         }
-        return _in_units(document, self.axes) if self.axes.normalised else document
+        return in_units(document, self.axes) if self.axes.normalised else document
 
 
-def _in_units(document: Any, axes: Axes) -> Any:
+def in_units(document: Any, axes: Axes) -> Any:
     """The same document with every ``unit`` written in the units of normalised axes."""
     if isinstance(document, list):
-        return [_in_units(entry, axes) for entry in document]
+        return [in_units(entry, axes) for entry in document]
     if not isinstance(document, dict):
         return document
     return {
-        key: axes.unit(value) if key == "unit" and isinstance(value, str) else _in_units(value, axes)
+        key: axes.unit(value) if key == "unit" and isinstance(value, str) else in_units(value, axes)
         for key, value in document.items()
     }
 

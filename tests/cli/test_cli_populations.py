@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -258,6 +259,29 @@ def test_recordings_of_one_program_are_compared(tmp_path):
     assert rows["force_over_peak", 1.0]["reason"] is None
     assert "force at 1 s [N]" in run("compare", one, other, "-o", tmp_path / "two.sides").stdout
     assert read_json(tmp_path / "two.sides" / "contrast.json") == document
+
+
+def test_normalised_recordings_are_compared_in_their_units_and_with_no_other(tmp_path):
+    log = write_log(tmp_path / "a.csv")
+    text = log.read_text(encoding="ascii")
+    strain = tmp_path / "strain.csv"
+    text = text.replace("Extension,Load", "Strain,Stress").replace("(mm),(N)", "(mm/mm),(MPa)")
+    strain.write_text(text, encoding="ascii")
+    ended = run("compare", strain, strain)
+    assert "peak [MPa]" in ended.stdout
+    assert not re.search(r"\bN\b|\bmm\b", ended.stdout.split("no model")[1])
+    run("compare", log, strain, code=2, said="strain.csv is in 1 and MPa, and")
+
+
+def test_where_no_program_is_common_that_is_said(tmp_path):
+    for number, stretch in enumerate((1.0, 8.0, 64.0, 512.0)):
+        log = write_log(tmp_path / str(number // 2) / f"{number}.csv", label=None)
+        names, units, *rows = log.read_text(encoding="ascii").splitlines()
+        slower = [
+            f"{stretch * float(time):.4f},{rest}" for time, _, rest in (row.partition(",") for row in rows)
+        ]
+        log.write_text("\n".join([names, units, *slower, ""]), encoding="ascii")
+    assert "nothing is compared" in run("compare", tmp_path / "0", tmp_path / "1").stdout
 
 
 def test_a_share_of_the_peak_is_not_compared_between_ramps(shared_data):

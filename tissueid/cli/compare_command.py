@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from tissueid.documents.measured import Spread
     from tissueid.store.bundle import Bundle
     from tissueid.store.posteriors import StoredPosterior
+    from tissueid.trial import Axes
 
 #: Clamp of the simulated device and of a calibrated one at its default [N].
 CLAMP_N = 5.0
@@ -205,15 +206,23 @@ def _is_fit(path: Path) -> bool:
 def compare_recordings(flags: _CompareFlags) -> int:
     """Say what recordings showed beside each other, no model: each path is one side."""
     from tissueid.measured.spread import measured_pairs
+    from tissueid.result import in_units
     from tissueid.store.files import json_bytes
 
     if len(flags.paths) < 2:
         refuse("one side is nothing to compare: name a second recording or folder")
-    sides = [(path, _measured(path, flags)) for path in flags.paths]
+    seen: dict[Axes, str] = {}
+    sides = [(path, _measured(path, flags, seen)) for path in flags.paths]
+    axes, *others = seen
+    for other in others:
+        refuse(
+            f"{seen[other]} is in {other.length} and {other.force}, and {seen[axes]} in {axes.length} and "
+            f"{axes.force}: compare recordings of the same --axes"
+        )
     written = {
         "schema": "tissueid/measured-contrast/1",
         "tissueid": __version__,
-        "pairs": measured_pairs(sides),
+        "pairs": in_units(measured_pairs(sides), axes),
     }
     if flags.output is not None:
         write_output(_named(flags.output), json_bytes(written), quiet=flags.quiet)
@@ -222,8 +231,8 @@ def compare_recordings(flags: _CompareFlags) -> int:
     return 0
 
 
-def _measured(path: str, flags: _CompareFlags) -> Sequence[Spread]:
-    """Measured pushes of the recordings of one path."""
+def _measured(path: str, flags: _CompareFlags, seen: dict[Axes, str]) -> Sequence[Spread]:
+    """Measured pushes of the recordings of one path; their axes, and a file of each, go into ``seen``."""
     from tissueid.inspection import measured_of, segmented
     from tissueid.measured import spread
     from tissueid.result import Refusal
@@ -234,6 +243,7 @@ def _measured(path: str, flags: _CompareFlags) -> Sequence[Spread]:
         divided = segmented(trial, options=options)
         if isinstance(divided, Refusal):
             raise divided.as_error()
+        seen.setdefault(trial.axes, trial.source.path)
         found.append(measured_of(trial, divided))
     return spread(found)
 
@@ -251,12 +261,14 @@ def measured_pair_lines(pair: MeasuredPair) -> list[str]:
     for reason in dict.fromkeys(row.reason for row in refused):
         names = ", ".join(_name(row) for row in refused if row.reason == reason)
         lines.append(f"  not compared: {names}: {reason}")
+    if not pair.numbers:
+        lines.append("  nothing is compared: no program, of one speed and depth, is in both")
     return lines
 
 
 def _name(row: MeasuredNumber) -> str:
     place = "" if row.time_s is None else f" at {row.time_s:g} s"
-    place = place if row.depth_mm is None else f" {row.depth_mm:g} mm"
+    place = place if row.depth_mm is None else f" {row.depth_mm:g} {'mm' if row.unit == 'N' else ''}".rstrip()
     unit = "" if row.unit == "1" else f" [{row.unit}]"
     number = f", program {row.program}" if row.program > 1 else ""
     number += f", hold {row.hold}" if row.hold > 1 else ""
