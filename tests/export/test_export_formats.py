@@ -151,9 +151,11 @@ def test_a_name_or_comment_of_a_specimen_cannot_break_the_header(tmp_path: Path)
 
 def test_matlab_s_file_holds_every_number(bundle: Bundle, tmp_path: Path) -> None:
     path = tmp_path / "tissues.mat"
-    path.write_bytes(mat_bytes([bundle, replace(bundle, specimen="other")]))
+    strain = {"length": "1", "force": "MPa", "time": "s"}
+    path.write_bytes(mat_bytes([bundle, replace(bundle, specimen="other", units=strain)]))
     found = loadmat(str(path), squeeze_me=True)["tissueid"]
     assert [str(one["specimen"]) for one in found] == [bundle.specimen, "other"]
+    assert [(one["length_unit"], one["force_unit"]) for one in found] == [("mm", "N"), ("1", "MPa")]
     one = found[0]
     np.testing.assert_array_equal(one["theta"], bundle.theta)
     np.testing.assert_array_equal(one["covariance"], bundle.covariance)

@@ -14,10 +14,11 @@ from tissueid.store.bundle import Bundle
 def mat_bytes(bundles: Sequence[Bundle]) -> bytes:
     """Write specimens as ``tissueid``, a struct array of MATLAB's format 5.
 
-    Returns fields: ``specimen``, ``branches``, ``stiffness_degree``, ``depth_mm``, ``speeds_mm_s``,
-    ``tip_radius_mm`` (NaN where unknown), ``sigma_N``, ``theta_names``, ``theta``, ``covariance``, ``draws``
-    (a row a draw; empty without a posterior), and ``parameters``, a struct a reported number with ``name``,
-    ``value``, ``stderr``, ``ci95``, ``ci95_total`` and ``identified``; NaN where nothing is known.
+    Returns fields: ``specimen``, ``length_unit`` and ``force_unit`` (what mm and N in a name stand for),
+    ``branches``, ``stiffness_degree``, ``depth_mm``, ``speeds_mm_s``, ``tip_radius_mm`` (NaN where unknown),
+    ``sigma_N``, ``theta_names``, ``theta``, ``covariance``, ``draws`` (a row a draw; empty without a
+    posterior), and ``parameters``, a struct a reported number with ``name``, ``value``, ``stderr``, ``ci95``,
+    ``ci95_total`` and ``identified``; NaN where nothing is known.
     """
     from scipy.io import savemat
 
@@ -36,6 +37,8 @@ def _of(bundle: Bundle) -> dict[str, Any]:
     draws = np.empty((0, bundle.theta.size)) if bundle.draws is None else bundle.draws
     return {
         "specimen": bundle.specimen,
+        "length_unit": bundle.units["length"],
+        "force_unit": bundle.units["force"],
         "branches": float(bundle.model.branches),
         "stiffness_degree": float(bundle.model.stiffness_degree),
         "depth_mm": bundle.depth_mm,
