@@ -140,6 +140,15 @@ def test_a_study_is_found_named_or_left_out_and_may_want_nothing_that_it_does_no
     assert specimens(folder) == ["kidney"] * 2
 
 
+def test_a_study_that_names_none_of_the_trials_says_so(tmp_path):
+    lab(tmp_path / "other", GROUPED, a1=1.0)
+    folder = write_log(tmp_path / "lab" / "b.csv").parent
+    study = ("--study", tmp_path / "other" / "study.toml", "-o", tmp_path / "out", *QUICK)
+    assert "1 of 1 trials are not named by the study" in run("fit", folder, *study, code={0, 4}).stderr
+    write_study(tmp_path / "other", "[study]\ntitle = 'of no trial'\n")
+    assert "not named" not in run("fit", folder, *study, code={0, 4}).stderr
+
+
 def test_two_studies_at_once_are_a_question_for_the_user(tmp_path):
     folders = [lab(tmp_path / name, GROUPED, a1=1.0) for name in ("x", "y")]
     run("fit", *folders, "-o", tmp_path / "out", code=2, said="--study")

@@ -294,7 +294,7 @@ _COLOURS = {"alarm": "red", "serious": "red", "remark": "yellow"}
 
 def print_summary(found: Assembled, out: str, *, quiet: int, verbose: int) -> None:
     """Numbers to stdout, what was left out and what is missing to stderr."""
-    if 0 < found.beside < found.trials:
+    if found.beside:
         note(
             f"{found.beside} of {found.trials} trials are not named by the study and were fitted as well "
             "(only_listed = true leaves them out)",

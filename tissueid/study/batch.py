@@ -163,6 +163,9 @@ def assemble(run: OutputSet, index: Index, request: Request) -> Assembled:
             parts.refuse(refusal)
         with replacing(run.path(LISTED)) as listed, listed.open("w", encoding="utf-8", newline="") as stream:
             list_specimens(parts.gather(), stream)
+        if study is None or not study.trials:
+            # a study that names no trial leaves none aside
+            found.beside = 0
         for job in index.jobs("failed"):
             parts.refuse(Refusal(**json.loads(job.reason or "{}")))
         if study is not None and any(entry.sheet is not None for entry in study.entries):
