@@ -159,12 +159,11 @@ def _written(target: str | None, out: Path) -> tuple[str, bytes]:
     """Write the report; its place and content."""
     from tissueid.model.grammar import ModelNameError
     from tissueid.store.files import CURVES, REPORT, time_now
-    from tissueid.store.outputs import OutputSet, current_run
-    from tissueid.store.results import read_plain, read_results, read_twin
+    from tissueid.store.outputs import OutputSet
+    from tissueid.store.results import committed_fit, read_plain, read_results, read_twin
     from tissueid.study.pages import report_page, write_report
 
-    page, committed = b"", current_run(out)
-    large = committed is not None and CURVES not in committed.files
+    page, large = b"", CURVES not in committed_fit(out).files
     if large and target is not None:
         msg = f"{out}: the report of a large cohort leads to pages in the same folder; leave out -o"
         raise BundleError(msg)

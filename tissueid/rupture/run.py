@@ -30,7 +30,7 @@ from tissueid.rupture.study import RuptureStudy, rupture_study
 from tissueid.rupture_law import DEFAULT_WEIGHT
 from tissueid.segment import SegmentOptions, segment
 from tissueid.store.bundle import bundle_from_fit, write_bundle
-from tissueid.store.files import IDENTIFICATION, bundle_names, json_bytes
+from tissueid.store.files import IDENTIFICATION, RUPTURE, bundle_names, json_bytes
 from tissueid.store.outputs import OutputSet, refuse_unwritten
 from tissueid.store.schema import check
 from tissueid.trial import Source, Trial
@@ -239,7 +239,6 @@ def as_document(run: RuptureRun, bundles: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
-RUPTURE = "rupture.json"
 PAGE = "rupture.html"
 
 

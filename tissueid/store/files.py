@@ -96,6 +96,7 @@ def json_bytes(document: Any) -> bytes:
 #: Public files of a run.
 IDENTIFICATION = "identification.json"
 CURVES = "curves.h5"
+RUPTURE = "rupture.json"
 POSTERIORS = "posteriors.h5"
 REPORT = "report.html"
 ONLY_BUNDLE = "bundle.h5"

@@ -21,7 +21,15 @@ from tissueid.documents.twin import Twin
 from tissueid.errors import BundleError
 from tissueid.store.bundle import load_bundle
 from tissueid.store.curves import TrialCurve, load_curves
-from tissueid.store.files import CURVES, IDENTIFICATION, ONLY_BUNDLE, POSTERIORS, bundle_names, sha256_of
+from tissueid.store.files import (
+    CURVES,
+    IDENTIFICATION,
+    ONLY_BUNDLE,
+    POSTERIORS,
+    RUPTURE,
+    bundle_names,
+    sha256_of,
+)
 from tissueid.store.merged import LISTED, SPECIMENS, load_specimen, read_listed
 from tissueid.store.outputs import CommittedRun, complete_refresh, current_run
 from tissueid.store.posteriors import StoredPosterior, load_posteriors
@@ -38,12 +46,12 @@ Result = tuple[Specimen, tuple[TrialCurve, ...], StoredPosterior | None]
 
 def read_identification(out: Path | str) -> IdentificationDocument:
     """Read the identification document of an output folder alone."""
-    return load_identification(_committed(Path(out)).folder / IDENTIFICATION)
+    return load_identification(committed_fit(Path(out)).folder / IDENTIFICATION)
 
 
 def read_plain(out: Path | str) -> dict[str, Any]:
     """Read the same as plain dicts, lists and values, to be printed or written again."""
-    return _checked(_committed(Path(out)).folder / IDENTIFICATION)
+    return _checked(committed_fit(Path(out)).folder / IDENTIFICATION)
 
 
 def read_twin(out: Path) -> Twin | None:
@@ -66,7 +74,7 @@ def read_results(
 
     Raises BundleError: if there is no committed set or it is damaged.
     """
-    run = _committed(Path(out))
+    run = committed_fit(Path(out))
     document = load_identification(run.folder / IDENTIFICATION)
     if CURVES in run.files:
         return document, load_curves(run.folder / CURVES), _posteriors(run)
@@ -83,7 +91,7 @@ def each_result(out: Path | str) -> Iterator[Result]:
 
     Raises BundleError: if there is no committed set or it is damaged.
     """
-    run = _committed(Path(out))
+    run = committed_fit(Path(out))
     if LISTED in run.files:
         for one in read_listed(run.folder / LISTED):
             if one.fitted:
@@ -100,15 +108,15 @@ def each_result(out: Path | str) -> Iterator[Result]:
 def validate_outputs(out: Path | str) -> None:
     """Refuse an output folder that is not wholly one run's, by a BundleError that names every problem."""
     # a folder without a run says so itself, with the way out
-    _committed(Path(out))
+    way_out = _WAY_OUT.replace("fit", "rupture" if RUPTURE in _committed(Path(out)).files else "fit")
     problems = output_problems(out)
     if problems:
         shown = problems[:_LONGEST_LIST]
         if len(problems) > len(shown):
             shown.append(f"and {len(problems) - len(shown)} more")
         msg = f"{out}: the output set is not whole: {'; '.join(shown)}"
-        if not any(_WAY_OUT in problem.lower() for problem in shown):
-            msg += f". {_WAY_OUT.capitalize()}"
+        if not any(way_out in problem.lower() for problem in shown):
+            msg += f". {way_out.capitalize()}"
         raise BundleError(msg)
 
 
@@ -122,6 +130,8 @@ def output_problems(out: Path | str) -> list[str]:
     problems = list(_hash_problems(out, run))
     if problems:
         return problems
+    if RUPTURE in run.files:
+        return list(_rupture_problems(out, run))
     if CURVES not in run.files:
         return _large_problems(out, run)
     try:
@@ -148,6 +158,14 @@ def _posteriors(run: CommittedRun) -> tuple[StoredPosterior, ...]:
     return load_posteriors(run.folder / POSTERIORS) if POSTERIORS in run.files else ()
 
 
+def committed_fit(out: Path) -> CommittedRun:
+    """Find the finished fit of a folder; BundleError where it has none."""
+    run = _committed(out)
+    if RUPTURE in run.files:
+        raise BundleError(f"{out}: holds tests to rupture and no fit; fit them into a folder of their own")
+    return run
+
+
 def _committed(out: Path) -> CommittedRun:
     complete_refresh(out)
     run = current_run(out)
@@ -172,9 +190,20 @@ def _hash_problems(out: Path, run: CommittedRun) -> Iterable[str]:
             yield f"{name} is missing (a copy is in {run.folder})"
         elif path.stat().st_size != entry["bytes"] or sha256_of(path) != entry["sha256"]:
             yield f"{name} is not the one this run wrote (a copy is in {run.folder})"
-    for name in (IDENTIFICATION, CURVES):
+    for name in () if RUPTURE in run.files else (IDENTIFICATION, CURVES):
         if name not in run.files and not (name == CURVES and LISTED in run.files):
             yield f"{name} was never part of the set"
+
+
+def _rupture_problems(out: Path, run: CommittedRun) -> Iterator[str]:
+    """Faults of the document and the bundles of a set of tests to rupture."""
+    try:
+        _checked(out / RUPTURE, "rupture", "run `tissueid rupture` again")
+        for name in run.files:
+            if name.endswith(".h5"):
+                load_bundle(out / name)
+    except BundleError as error:
+        yield error.message
 
 
 def _specimen_problems(out: Path, run: CommittedRun) -> Iterator[str]:
