@@ -325,6 +325,7 @@ def test_it_prints_rupture_json_and_it_is_valid(done):
     assert run("validate", out, code=0).stdout == f"{out}: valid\n"
     for command in ("report", "export"):
         run(command, out, code=6, said="holds tests to rupture and no fit")
+    run("fit", out.parent, "-o", out, code=2, said="outputs of `tissueid rupture`")
     assert "work" in (out / "rupture.html").read_text(encoding="utf-8")
     work = next(row for row in document["criteria"] if row["criterion"] == "work")
     assert document["taken"] == "work"

@@ -30,7 +30,7 @@ from tissueid.rupture.study import RuptureStudy, rupture_study
 from tissueid.rupture_law import DEFAULT_WEIGHT
 from tissueid.segment import SegmentOptions, segment
 from tissueid.store.bundle import bundle_from_fit, write_bundle
-from tissueid.store.files import IDENTIFICATION, RUPTURE, bundle_names, json_bytes
+from tissueid.store.files import RUPTURE, bundle_names, json_bytes
 from tissueid.store.outputs import OutputSet, refuse_unwritten
 from tissueid.store.schema import check
 from tissueid.trial import Source, Trial
@@ -244,8 +244,6 @@ PAGE = "rupture.html"
 
 def write_rupture(out: Path, run: Callable[[], RuptureRun]) -> dict[str, Any]:
     """Write the set that ``run`` gives, all at once or not at all; it is called in a folder that is ours."""
-    if (out / IDENTIFICATION).exists():
-        refuse(f"{out} holds the outputs of `tissueid fit`, which this would replace: choose another folder")
     refuse_unwritten(out, (RUPTURE, PAGE, "bundle*.h5"))
     with OutputSet(out) as files:
         found = run()

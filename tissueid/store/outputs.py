@@ -27,14 +27,22 @@ import platform
 import shutil
 import sys
 import time
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Self
 
 from tissueid.errors import BundleError, UsageError, refuse
-from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file, sha256_of, write_file
+from tissueid.store.files import (
+    IDENTIFICATION,
+    RUPTURE,
+    TEMPORARY_PREFIX,
+    json_bytes,
+    replace_file,
+    sha256_of,
+    write_file,
+)
 from tissueid.store.schema import check
 
 LOCK_NAME = ".lock"
@@ -146,11 +154,16 @@ def current_run(out: Path | str) -> CommittedRun | None:
     return CommittedRun(folder, document["files"], tuple(document["replaces"]))
 
 
-def refuse_unwritten(out: Path, names: Iterable[str]) -> None:
-    """Refuse, by UsageError, a folder that no run made and that holds files of our names: they stay.
+def refuse_unwritten(out: Path, names: Sequence[str]) -> None:
+    """Refuse, by UsageError, a folder of another command, or files of our names that no run made: they stay.
 
     ``names``: patterns of the files that the coming run writes.
     """
+    for name, command in ((IDENTIFICATION, "fit"), (RUPTURE, "rupture")):
+        if name not in names and (out / name).exists():
+            refuse(
+                f"{out} holds the outputs of `tissueid {command}`, which this would replace: choose another"
+            )
     if (out / _CURRENT).exists() or not out.is_dir():
         return
     foreign = sorted(path.name for name in names for path in out.glob(name))
