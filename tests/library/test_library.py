@@ -250,3 +250,8 @@ def test_no_package_has_the_name_of_a_function(own):
     assert all(map(callable, (ti.fit, ti.render, ti.read)))
     assert ti.fit(own.trials, "power * power-law").result.specimen == "specimen"
     assert callable(ti.fit)
+
+
+def test_every_public_name_is_offered_before_it_is_loaded():
+    # a shell or a notebook completes by dir
+    assert set(ti.__all__) <= set(dir(ti))
