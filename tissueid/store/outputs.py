@@ -161,9 +161,7 @@ def refuse_unwritten(out: Path, names: Sequence[str]) -> None:
     """
     for name, command in ((IDENTIFICATION, "fit"), (RUPTURE, "rupture")):
         if name not in names and (out / name).exists():
-            refuse(
-                f"{out} holds the outputs of `tissueid {command}`, which this would replace: choose another"
-            )
+            refuse(f"{out} holds outputs of `tissueid {command}`, which this replaces: choose another folder")
     if (out / _CURRENT).exists() or not out.is_dir():
         return
     foreign = sorted(path.name for name in names for path in out.glob(name))
