@@ -201,6 +201,8 @@ FIT = ("fit", "log.csv", "--model")
         ([*FIT, "prony"], "STATIC * [STIFFNESS *] RELAXATION"),
         ([*FIT, "polynomial * prony:7"], "7 branches"),
         ([*FIT, "polynomial * prony", "--branches", "2"], "says it already"),
+        (["fit", "a.csv", "--sampler", "none", "--draws", "500"], "takes no draws"),
+        (["fit", "a.csv", "--mix-states", "--population", "no"], "--mix-states is of a population"),
         (["reproduce", "shakespeare"], "sadeghnejad"),
         (["reproduce", "pires", "--set", "surface=torus"], "hyperboloid, cone"),
         (["reproduce", "pires", "-o", "/dev/null/out"], "choose another folder"),

@@ -503,7 +503,7 @@ def test_a_specimen_alone_shows_two_programs_and_counts_the_others():
     )
     assert lines[1] == "  F(1 s) 8.00 ± 0.50 N, F(10 s) 6.00 ± 0.50 N"
     assert lines[2].startswith("measured program 2, no model")
-    assert lines[3] == "1 more programs and holds stand in the report"
+    assert lines[3] == "the report has 1 more of these, by program and hold"
 
 
 def test_numbers_that_are_asked_for_are_in_the_document_and_in_few_lines(tmp_path):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 from click.core import ParameterSource
 
-from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
+from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand, typed
 from tissueid.cli.output import echo, echo_json_text, note, progress_bar
 from tissueid.cli.reading import (
     READING,
@@ -145,7 +145,7 @@ def command(flags: _FitFlags) -> int:
     study, paths = locate_study(flags.paths, named=flags.study, ignore=flags.no_study)
     if study is not None:
         flags = replace(flags, model=flags.model or study.model)
-    flags = _checked_model(flags)
+    flags = _checked(flags)
     options = _identify_options(flags)
     files = inputs_in_order(paths, study)
     refuse_unwritten(Path(flags.out), _FILES)
@@ -203,14 +203,18 @@ def _population(flags: _FitFlags, study: Study | None, fitted: int) -> int:
     return 0 if written.converged else NotIdentifiedError.exit_status
 
 
-def _checked_model(flags: _FitFlags) -> _FitFlags:
-    """Refuse a name that is no model and options that it does not take; settings of a file give way to it."""
+def _checked(flags: _FitFlags) -> _FitFlags:
+    """Refuse a name that is no model and options that are of none; settings of a file give way to it."""
     from tissueid.model.grammar import ModelNameError, candidates
 
     try:
         laws = candidates(flags.model or KELVIN_VOIGT)
     except ModelNameError as error:
         refuse(str(error))
+    if flags.sampler == "none" and (said := typed("draws")):
+        refuse(f"{said[0]} is of a sampler, and --sampler none takes no draws: leave one of them out")
+    if flags.population == "no" and flags.mix_states:
+        refuse("--mix-states is of a population, and --population no makes none: leave one of them out")
     others = laws.paper is None or laws.choose
     if others and flags.unloading:
         refuse(f"--unloading follows the surface of a kelvin-voigt model, not of {flags.model!r}")

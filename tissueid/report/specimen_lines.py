@@ -45,7 +45,7 @@ def measured_lines(rows: Sequence[Spread]) -> list[str]:
             [row for row in own if row.name != "loop_area"], " " * bool(words) + ", ".join(words)
         )
     if len(places) > MOST_PLACES:
-        lines.append(f"{len(places) - MOST_PLACES} more programs and holds stand in the report")
+        lines.append(f"the report has {len(places) - MOST_PLACES} more of these, by program and hold")
     areas = [row for row in rows if row.name == "loop_area" and row.mean is not None]
     if areas:
         lines.append(f"loop area {_said(areas[-1])}")
