@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 from click.core import ParameterSource
 
-from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand, typed
+from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
+from tissueid.cli.flags import typed as typed_flags
 from tissueid.cli.output import echo, echo_json_text, note, progress_bar
 from tissueid.cli.reading import (
     READING,
@@ -211,7 +212,7 @@ def _checked(flags: _FitFlags) -> _FitFlags:
         laws = candidates(flags.model or KELVIN_VOIGT)
     except ModelNameError as error:
         refuse(str(error))
-    if flags.sampler == "none" and (said := typed("draws")):
+    if flags.sampler == "none" and (said := typed_flags("draws")):
         refuse(f"{said[0]} is of a sampler, and --sampler none takes no draws: leave one of them out")
     if flags.population == "no" and flags.mix_states:
         refuse("--mix-states is of a population, and --population no makes none: leave one of them out")
