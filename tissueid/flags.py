@@ -149,6 +149,10 @@ _CAUTION = {
     "zero_dt": FlagKind("Time stamps", "two samples carry the same time",
         "The samples share one instant; speeds there mean nothing.", "Export time with more digits.",
         "repeat times"),
+    "held_channel": FlagKind("Held readings",
+        "a channel is read more slowly than rows are written, and repeats its reading between",
+        "Rows that repeat a reading are left out: what happened between two readings was not seen.",
+        "Log that channel faster, or each at its own rate.", "repeat the readings of a channel"),
     "commanded_displacement": FlagKind("Commanded displacement",
         "the displacement is free of noise and lag: commanded, not measured?",
         "No crosshead turns so sharply: where the tool really was is not recorded; lag and give of the "

@@ -1,4 +1,4 @@
-"""Tables by spaces, clock times, coarse clocks, and the rate of the samples where no column is a time."""
+"""Tables by spaces, clock times, coarse clocks, held readings, and a rate where no column is a time."""
 
 from __future__ import annotations
 
@@ -335,6 +335,50 @@ def test_rows_of_one_tick_are_spread_and_divided_as_if_the_clock_were_fine(tmp_p
     assert found.phases[2].start_s == pytest.approx(6.0, abs=1.5 * tick_s)
     assert found.contact is not None
     assert found.contact.displacement_mm == pytest.approx(1.0, abs=0.06)
+
+
+#: A tool that starts and stops within 0.2 s, at 5 mm/s: times and places.
+BRAKING = (
+    np.arange(0.0, 12.0, 1e-3),
+    np.cumsum(np.interp(np.arange(0.0, 12.0, 1e-3), [1.0, 1.2, 2.6, 2.8], [0.0, 5.0, 5.0, 0.0])) * 1e-3 - 3.0,
+)
+
+
+@pytest.mark.parametrize(
+    ("held", "rate_hz", "reading_s"),
+    [("force", 500, 0.1), ("force", 500, 0.0125), ("displacement", 1000, 0.05), ("displacement", 200, 0.04)],
+)
+def test_rows_that_repeat_a_reading_are_left_out(tmp_path: Path, held: str, rate_hz: int, reading_s: float):
+    """A channel read more slowly than rows are written; truth: the recording itself, at 1 kHz and more."""
+    time_s = np.arange(0.0, 12.0, 1.0 / rate_hz)
+    was_read_s = np.floor(time_s / reading_s + 1e-6) * reading_s
+    depth = np.interp(was_read_s if held == "displacement" else time_s, *BRAKING)
+    force = 3.0 * np.maximum(np.interp(was_read_s if held == "force" else time_s, *BRAKING), 0.0)
+    if held == "force":
+        noise = np.random.default_rng(3).normal(0.0, 0.01, 2000)
+        force = force + noise[np.rint(was_read_s / reading_s).astype(int)]
+    rows = "".join(f"{t:.4f},{x:.4f},{f:.4f}\n" for t, x, f in zip(time_s, depth, force, strict=True))
+    trial = read_text(tmp_path / "a.csv", "Time (s),Displacement (mm),Force (N)\n" + rows)
+    (flag,) = [flag for flag in trial.flags if flag.code == "held_channel"]
+    assert (flag.values["channel"], flag.values["left_out"]) == (held, time_s.size - trial.time_s.size)
+    assert trial.time_s.size == pytest.approx(12.0 / reading_s, rel=0.02)
+    # a reading is a row old at the most, at 5 mm/s and 3 N/mm; noise of 0.01 N
+    assert np.abs(trial.force_N - 3.0 * np.maximum(trial.displacement_mm, 0.0)).max() < 0.04 + 15.0 / rate_hz
+    contact = segment(trial).contact
+    assert contact is not None
+    assert abs(contact.displacement_mm) < 5.0 / rate_hz + 3.0 * contact.sd_mm
+
+
+def test_a_channel_of_coarse_steps_keeps_all_its_rows(tmp_path: Path) -> None:
+    """Encoders of 0.02 and 0.05 mm at 1 mm/s change each 4th and 10th row, by whole steps."""
+    time_s = np.arange(0.0, 12.0, 0.005)
+    for step_mm in (0.02, 0.05):
+        depth = np.rint(np.clip(time_s - 4.013, -3.0, 4.0) / step_mm) * step_mm
+        force = 3.0 * np.maximum(depth, 0.0) + np.random.default_rng(4).normal(0.0, 0.01, time_s.size)
+        rows = "".join(f"{t:.3f},{x:.2f},{f:.4f}\n" for t, x, f in zip(time_s, depth, force, strict=True))
+        trial = read_text(tmp_path / "a.csv", "Time (s),Displacement (mm),Force (N)\n" + rows)
+        assert trial.time_s.size == time_s.size
+        assert "held_channel" not in codes(trial)
 
 
 def test_a_sampling_that_changes_is_spread_tick_by_tick() -> None:

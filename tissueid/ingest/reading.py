@@ -25,6 +25,7 @@ from tissueid.ingest.columns import split_name
 from tissueid.ingest.delimited import BLUEHILL_CSV, CHIARO, COLUMNS_TEXT, TESTXPERT_TRA
 from tissueid.ingest.discovery import find_inputs
 from tissueid.ingest.header import protocol_of
+from tissueid.ingest.held import read_anew
 from tissueid.ingest.jpk import JPK_FORCE, JPK_TEXT
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.quality import capacity_in, quality_flags, zero_dt
@@ -393,15 +394,16 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
     axes = replace(file.options, axes={**file.options.axes, **table.axes}).trial_axes
     time_s, tick_s = between_ticks(table.time_s)
     repeats = zero_dt(table.time_s, np.diff(table.time_s), tick_s) if tick_s > 0.0 else None
-    said = (_normalised(axes), no_specimen(file.path, table.sheet), repeats)
+    (time_s, displacement_mm, force_N), held = read_anew(time_s, table.displacement_mm, table.force_N)
+    said = (_normalised(axes), no_specimen(file.path, table.sheet), repeats, held)
     capacity_N = capacity_in(table.metadata, decimal=table.decimal)
-    quality = quality_flags(time_s, table.displacement_mm, table.force_N, capacity_N=capacity_N)
+    quality = quality_flags(time_s, displacement_mm, force_N, capacity_N=capacity_N)
     flags = (*table.flags, *(flag for flag in said if flag is not None), *quality)
     return Trial(
         specimen=_specimen(file, table),
         time_s=time_s,
-        displacement_mm=table.displacement_mm,
-        force_N=table.force_N,
+        displacement_mm=displacement_mm,
+        force_N=force_N,
         protocol=table.protocol or protocol_of(table.metadata, file.path, decimal=table.decimal),
         source=source,
         flags=flags,
