@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from told import codes, flag_of, kinds
 
 from tissueid.segment import SegmentOptions, segment
@@ -85,6 +86,28 @@ def test_force_that_never_rises_is_no_contact():
     assert found.contact is None
     assert "no_contact" in codes(found)
     assert [phase.kind for phase in found.phases] == ["approach"]
+
+
+@pytest.mark.parametrize("swing_mm", [0.05, 0.3])
+@pytest.mark.parametrize("rest_s", [20.0, 60.0])
+def test_an_organ_that_breathes_is_met_and_held(swing_mm, rest_s):
+    """The surface swings about 0 at 0.2 Hz under a stiffening tissue; the tool ends 5 mm deep, at 7 s."""
+    time_s = np.arange(0.0, 7.0 + rest_s, 0.01)
+    travel = np.clip(time_s - 2.0, 0.0, 5.0) * 2.0 - 5.0
+    depth = np.maximum(travel + swing_mm * np.sin(0.4 * np.pi * time_s), 0.0)
+    force = depth + 0.1 * depth**2 + 0.05 * depth**3 + np.random.default_rng(2).normal(0.0, 0.01, time_s.size)
+    found = segment(Trial("liver", time_s, travel, force))
+    assert abs(found.contact.displacement_mm) < 3.0 * found.contact.sd_mm + swing_mm
+    hold = found.phases[-1]
+    assert (hold.kind, time_s[hold.start]) == ("hold", pytest.approx(7.0, abs=0.02))
+
+
+def test_a_reading_that_wanders_in_air_is_no_contact():
+    rng = np.random.default_rng(9)
+    time_s = np.arange(0.0, 60.0, 0.01)
+    wandering = lfilter([1.0], [1.0, -0.99], rng.normal(0.0, 0.02, time_s.size))
+    found = segment(Trial("air", time_s, np.minimum(time_s, 10.0), wandering))
+    assert "no_contact" in codes(found)
 
 
 @pytest.mark.parametrize(

@@ -150,6 +150,8 @@ PRELOAD_SHARE = 0.01
 FEWEST_RESTING = 3
 #: Force that rises by less than this many noise sd over a ramp never met anything.
 CONTACT_SD = 6.0
+#: Share of the samples of a move over which either end of it is a mean.
+END_SHARE = 0.1
 #: A move has touched the tissue before another pushes into it where, while the tool stands in between, this
 #: share of the force is left.  It places the contact where the force has reached this share of its range and
 #: so many noise sd, and where it does with less, but better than a push that begins in contact.
@@ -332,7 +334,7 @@ def _meets(force_N: FloatArray, piece: Piece, noise_N: float) -> bool:
     force = force_N[piece.start : piece.stop + 1]
     if force.size < FEWEST_SAMPLES:
         return force.size > 1 and bool(force[-1] - force[0] > CONTACT_SD * noise_N)
-    edge = max(1, force.size // 10)
+    edge = max(1, int(END_SHARE * force.size))
     rise = float(force[-edge:].mean() - force[:edge].mean())
     return rise > CONTACT_SD * noise_N / np.sqrt(edge) and rise > 0.05 * float(np.ptp(force_N))
 

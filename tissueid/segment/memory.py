@@ -112,3 +112,10 @@ def long_run_ratio(stretches: Sequence[FloatArray]) -> float:
         ratio = size * square / free * (1.0 + rho) / (1.0 - rho) * samples / differences
         size *= 2
     return max(float(np.sqrt(ratio)), 1.0) if correlated else 1.0
+
+
+def largest_ratio(stretches: Sequence[FloatArray], samples: float) -> float:
+    """Ratio of a mean over so many samples at the most: it scatters by no more than one of them."""
+    square = sum(float(one @ one) for one in stretches)
+    differences = sum(one.size * _neighbours_sd(one) ** 2 for one in stretches)
+    return max(float(np.sqrt(samples * square / differences)), 1.0) if differences > 0.0 else 1.0
