@@ -7,8 +7,10 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import numpy as np
 import pytest
 from pushed import pushed
+from scipy.signal import lfilter
 
 from tissueid.documents import plain, typed
 from tissueid.documents.inspect import Verdict
@@ -101,6 +103,20 @@ KEPT: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("case", KEPT)
 def test_what_is_sound_is_kept_without_a_reason(case: str) -> None:
     assert judged(pushed(**KEPT[case])) == Verdict("good", None)
+
+
+@pytest.mark.parametrize(("rest_s", "level"), [(40.0, "good"), (6.0, "look")])
+def test_a_pause_on_the_way_down_is_no_hold_that_is_too_short(rest_s: float, level: str) -> None:
+    """A pause of 2 s at 2 of 4 mm, of a tissue whose branch relaxes in 4 s; then the hold."""
+    time_s = np.arange(0.0, 7.0 + rest_s, 0.01)
+    travel = np.interp(time_s, [1.0, 3.0, 5.0, 7.0], [-1.0, 2.0, 2.0, 4.0])
+    depth = np.maximum(travel, 0.0)
+    decay = float(np.exp(-0.01 / 4.0))
+    branch = lfilter([10.0 * np.sqrt(decay)], [1.0, -decay], np.diff(depth, prepend=0.0))
+    noise = np.random.default_rng(1).normal(0.0, 0.01, time_s.size)
+    found = judged(Trial("liver", time_s, travel, 5.0 * depth + branch + noise))
+    assert found.level == level
+    assert found.reason is None or re.match(r"hold too short: (6|5\.99) s", found.reason)
 
 
 @pytest.mark.parametrize(

@@ -54,8 +54,10 @@ def _doubts(
         yield softer
     if measured.push is not None:
         yield from _too_slow(trial, measured.push)
-    for hold in measured.holds:
-        yield from _too_short(trial, hold)
+    # a pause on the way down is no hold that was meant
+    longest = max(measured.holds, key=lambda one: one.length_s, default=None)
+    if longest is not None:
+        yield from _too_short(trial, longest)
     yield from (_told(flags[code]) for code in DOUBTFUL if code in flags)
 
 
