@@ -137,7 +137,7 @@ _CAUTION = {
     "aborted_ramp": FlagKind("Aborted test", "the recording ends, or unloads, before the ramp is over",
         "The recording shows less depth than was asked for.", "Repeat the test.",
         "end before their ramp does", "repeat"),
-    "jump": FlagKind("Leap", "travel, or the force of a tool that stands, leaps and stays there",
+    "jump": FlagKind("Leap", "travel, or the force of a tool that stands or is in air, leaps and stays there",
         "What happened in between is missing: another recording may go on, or the channel was zeroed.",
         "Cut it by start_s or end_s of study.toml.", "leap between two samples", "look"),
     "gap": FlagKind("Gap", "the log has a gap in time",

@@ -459,6 +459,31 @@ def test_a_load_cell_that_is_zeroed_in_mid_log_is_told(leap_N, stands, told):
         assert "zeroed?" in found[0].message
 
 
+@pytest.mark.parametrize(
+    ("leap_N", "at_s", "told"), [(-1.1, 5.0, True), (0.4, 5.0, True), (-0.4, 9.0, False)]
+)
+def test_a_load_cell_that_is_zeroed_on_its_way_through_air_is_told(leap_N, at_s, told):
+    """The tool moves at 1 mm/s from the first sample on; what leaps in the tissue may be of it."""
+    time = np.arange(0.0, 30.0, 0.01)
+    travel = np.minimum(time, 12.0)
+    force = 3.0 * np.maximum(travel - 8.0, 0.0) * (1.0 + 0.5 * np.exp(-np.maximum(time - 12.0, 0.0)))
+    force += 0.01 * np.random.default_rng(2).standard_normal(time.size) + leap_N * (time > at_s)
+    found = [flag for flag in quality_flags(time, travel, force) if flag.code == "jump"]
+    assert bool(found) is told
+    if told:
+        assert found[0].values["leap_N"] == pytest.approx(leap_N, abs=0.05)
+        assert found[0].message.endswith("while the tool moves in air: zeroed?")
+
+
+def test_a_probe_that_is_drawn_onto_its_sample_was_not_zeroed():
+    """The tip snaps by 0.3 N where it meets the sample, and force rises from there at 2 N/mm and 1 mm/s."""
+    time = np.arange(0.0, 10.0, 0.02)
+    travel = np.minimum(time, 8.0)
+    force = np.where(travel > 5.0, 2.0 * (travel - 5.0) - 0.3, 0.0)
+    force += 0.003 * np.random.default_rng(2).standard_normal(time.size)
+    assert not [flag for flag in quality_flags(time, travel, force) if flag.code == "jump"]
+
+
 @pytest.mark.parametrize("in_contact", [True, False])
 def test_travel_that_is_zeroed_under_a_force_is_told_and_a_fast_way_back_in_air_is_not(in_contact):
     time = np.arange(0.0, 40.0, 0.02)

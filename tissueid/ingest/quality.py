@@ -530,12 +530,14 @@ def below_cell_range(
 _STANDS, _STANDS_SHARE, _STANDS_STEPS = 10, 1e-3, 6.0
 #: The leap: a share of the force's range, times the steps beside it and those of its digits, and what stays.
 _LEAP_SHARE, _LEAP_TIMES, _LEAP_DIGITS, _LEAP_STAYS = 0.005, 8.0, 3.0, 0.7
+#: The force of a tool in air keeps within this share of its leap.
+_IN_AIR = 0.2
 #: Leaps that are looked at, the largest first.
 _MOST_LEAPS = 50
 
 
 def zeroed(time_s: FloatArray, displacement_mm: FloatArray, force_N: FloatArray) -> Flag | None:
-    """``jump``, where the force of a tool that stands leaps between two samples and stays there."""
+    """``jump``, where the force leaps between two samples and stays: of a tool that stands, or is in air."""
     steps, travel = np.diff(force_N), np.abs(np.diff(displacement_mm))
     moving = travel[travel > 0.0]
     if steps.size < 2 * _STANDS or moving.size == 0:
@@ -546,15 +548,29 @@ def zeroed(time_s: FloatArray, displacement_mm: FloatArray, force_N: FloatArray)
     for at in leaps[np.argsort(-np.abs(steps[leaps]))][:_MOST_LEAPS].tolist():
         before, after = slice(max(at + 1 - _STANDS, 0), at + 1), slice(at + 1, at + 1 + _STANDS)
         stood = displacement_mm[before.start : after.stop]
-        if stood.size < 2 * _STANDS or float(np.ptp(stood)) > still:
+        if stood.size < 2 * _STANDS:
             continue
+        meanwhile = "while the tool stands"
+        if float(np.ptp(stood)) > still:
+            # what has met nothing since the record began, and moves on as it did, was zeroed on its way
+            if np.ptp(force_N[: at + 1]) > _IN_AIR * abs(steps[at]) or not _goes_on(stood):
+                continue
+            meanwhile = "while the tool moves in air"
         beside = max(float(np.abs(np.diff(force_N[side])).max()) for side in (before, after))
         stays = float(np.median(force_N[after]) - np.median(force_N[before])) / steps[at]
         if abs(steps[at]) >= _LEAP_TIMES * beside and stays >= _LEAP_STAYS:
             when = float(time_s[at]) - clock_start(time_s[0])
-            words = f"the force leaps by {steps[at]:.3g} N at {when:.4g} s, while the tool stands: zeroed?"
+            words = f"the force leaps by {steps[at]:.3g} N at {when:.4g} s, {meanwhile}: zeroed?"
             return Flag("jump", words, {"leap_N": float(steps[at]), "at_s": float(time_s[at])})
     return None
+
+
+def _goes_on(travelled_mm: FloatArray) -> bool:
+    """True where both halves of a way agree within a factor of two, and no gap lies between them."""
+    halves = np.split(travelled_mm, 2)
+    first, second = (float(half[-1] - half[0]) for half in halves)
+    between = float(halves[1][0] - halves[0][-1])
+    return 0.5 * first**2 <= first * second <= 2.0 * first**2 and abs(between) <= 0.5 * abs(first)
 
 
 def quality_flags(
