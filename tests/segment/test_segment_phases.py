@@ -84,6 +84,21 @@ def test_signs_follow_the_dominant_excursion_and_the_user_wins(sign):
     assert (forced.compression_sign, forced.force_sign) == (-sign, -sign)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("pulls_N", [0.0, 0.8])
+def test_a_crosshead_that_goes_home_through_air_leaves_the_push_where_it_was(sign, pulls_N):
+    """A push of 8 mm, 5 of them in tissue, and 40 mm back, past the start; tissue may stick to the tool."""
+    time_s = np.arange(0.0, 46.0, 0.01)
+    travel = np.interp(time_s, [1.0, 9.0, 42.0, 42.8], [-3.0, 5.0, 5.0, -35.0])
+    force = 4.0 * np.maximum(travel, 0.0) * (0.7 + 0.3 * np.exp(-np.maximum(time_s - 9.0, 0.0) / 5.0))
+    force -= pulls_N * ((time_s > 42.0) & (travel < 0.0) & (travel > -6.0))
+    force += np.random.default_rng(3).normal(0.0, 0.01, time_s.size)
+    found = segment(Trial("liver", time_s, sign * travel, sign * force))
+    assert (found.compression_sign, found.force_sign) == (sign, sign)
+    assert kinds(found) == ["approach", "approach", "ramp", "hold", "retract", "rest"]
+    assert "sign_assumed" not in codes(found)
+
+
 def test_force_against_the_travel_is_said():
     trial = trial_of(Log("s", (Move(4.0, 250.0), Hold(2.0))))
     found = segment(Trial("t", trial.time_s, -trial.displacement_mm, trial.force_N))

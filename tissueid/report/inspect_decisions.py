@@ -141,7 +141,7 @@ def _units(recording: Trial, decide: _Decide) -> Decision:
 
 def _signs(recording: Trial, decide: _Decide) -> list[Decision]:
     sign, force = recording.compression_sign, recording.force_sign
-    taken = f"{_SIGN[sign]} displacement goes into the tissue: the dominant excursion"
+    taken = f"{_SIGN[sign]} displacement goes into the tissue: force changes that way"
     found = [decide("compression", "Direction of compression", taken, compression=_SIGN[-sign])]
     if force is not None:
         taken = f"{_SIGN[force]} force is compression: it changes with the travel that way"

@@ -19,7 +19,8 @@ from tissueid.trial import Contact, Phase, Trial
 
 #: The other excursion reaches this share of the dominant one: the direction is doubtful.
 DOUBTFUL_EXCURSION = 0.5
-#: Share of the force's own change that its change over the travel must reach to have a sign.
+#: Share of the force's own change that its change over the travel must reach to have a sign, and that on
+#: the other side of the start to count.
 DOUBTFUL_FORCE = 0.3
 #: Names of what is left between the tools, or above the table: it falls as the tool goes in.
 _CLOSES = re.compile(
@@ -34,11 +35,16 @@ def signs(trial: Trial, options: SegmentOptions) -> tuple[int, int, list[Flag]]:
     flags: list[Flag] = []
     x, force = trial.displacement_mm, trial.force_N
     out, back = float(x.max() - x[0]), float(x[0] - x.min())
+    # a specimen that broke, or relaxed after a fast start, may carry less at its deepest: where force leaves
+    # its first level to one side only, that side tells
+    calm = without_spikes(force, noise=white_noise_sd(trial.time_s, force))
+    level = float(np.median(calm[:FIRST_SAMPLES]))
     compression = options.compression_sign
     if compression is None:
-        compression = 1 if out >= back else -1
+        loaded = _loaded_side(x, np.abs(calm - level))
+        compression = loaded or (1 if out >= back else -1)
         minor, major = sorted((out, back))
-        if major > 0.0 and minor > DOUBTFUL_EXCURSION * major:
+        if not loaded and major > 0.0 and minor > DOUBTFUL_EXCURSION * major:
             message = f"displacement goes {out:.4g} mm one way, {back:.4g} mm the other; the larger was taken"
             values = {"positive_mm": out, "negative_mm": back, "compression_sign": compression}
             flags.append(Flag("sign_assumed", message, values))
@@ -49,10 +55,6 @@ def signs(trial: Trial, options: SegmentOptions) -> tuple[int, int, list[Flag]]:
     change = float(np.median(force[deep]) - np.median(force[shallow])) if depth.max() > 0.0 else 0.0
     if force_sign is None:
         force_sign = -1 if change < 0.0 else 1
-        # a specimen that broke, or relaxed after a fast start, may carry less at its deepest: where force
-        # leaves its first level to one side only, that side tells
-        calm = without_spikes(force, noise=white_noise_sd(trial.time_s, force))
-        level = float(np.median(calm[:FIRST_SAMPLES]))
         rise, fall = float(calm.max()) - level, level - float(calm.min())
         doubtful = abs(change) < DOUBTFUL_FORCE * float(np.ptp(force))
         if doubtful or min(rise, fall) < DOUBTFUL_FORCE * max(rise, fall):
@@ -73,6 +75,14 @@ def signs(trial: Trial, options: SegmentOptions) -> tuple[int, int, list[Flag]]:
         message = "recorded force and displacement have opposite signs: force against the travel, or tension"
         flags.append(Flag("tension", message, {"compression_sign": compression, "force_sign": force_sign}))
     return compression, force_sign, flags
+
+
+def _loaded_side(x: FloatArray, changed_N: FloatArray) -> int:
+    """Side of the start on which the force works, 0 where it does on both: crossheads go home through air."""
+    ahead, behind = (float(changed_N[side].max(initial=0.0)) for side in (x > x[0], x < x[0]))
+    if min(ahead, behind) >= DOUBTFUL_FORCE * max(ahead, behind):
+        return 0
+    return 1 if ahead >= behind else -1
 
 
 #: Fewest samples in air from which a drift is told, and blocks they are averaged in.
