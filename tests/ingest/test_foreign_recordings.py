@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from ingest_files import codes, put, read, refusal
 
-from tissueid.ingest import read_each
+from tissueid.ingest import ReadOptions, read_each
 from tissueid.ingest.vocabulary import CHANNELS
 from tissueid.segment import segment
 from tissueid.trial import Segmentation, Trial
@@ -90,6 +90,18 @@ def test_a_foreign_grammar_gives_back_its_samples(tmp_path: Path, grammar: str) 
     np.testing.assert_allclose(trial.time_s - trial.time_s[0], time, atol=1e-3)
     np.testing.assert_allclose(np.abs(trial.displacement_mm - trial.displacement_mm[0]), travel, atol=2e-4)
     np.testing.assert_allclose(np.abs(trial.force_N), force, atol=2e-4)
+
+
+@pytest.mark.parametrize(("per_mm", "asked"), [(1e-3, True), (1.0, False)])
+def test_a_place_without_a_unit_that_may_be_in_metres_is_asked_about(tmp_path, per_mm, asked) -> None:
+    """A robot writes metres and names no unit: 13 N within 0.0055 mm are stiffer than a frame."""
+    rows = "".join(f"{t:.3f},{0.3 - per_mm * x:.7f},{f:.4f}\n" for t, x, f in PRESS)
+    said = [flag.message for flag in read(put(tmp_path / "a.csv", "t,z,Fz\n" + rows)).flags]
+    assert said[0].endswith("is it in m?") is asked
+    if asked:
+        stated = read(put(tmp_path / "b.csv", "t,z,Fz\n" + rows), ReadOptions(units={"displacement": "m"}))
+        assert np.ptp(stated.displacement_mm) == pytest.approx(CONTACT_MM + DEPTH_MM, abs=1e-3)
+        assert not any("in m?" in flag.message for flag in stated.flags)
 
 
 @pytest.mark.parametrize("above", ["", "Test ID,Batch,Test ID,Batch\nT1,,T2,\n", "T1,,,,T2\n"])

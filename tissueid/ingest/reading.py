@@ -211,6 +211,9 @@ def no_specimen(path: str, sheet: str | None) -> Flag | None:
 #: Longest travel [mm] and largest force [N] of a materials testing machine, with room to spare.
 TRAVEL_LIMIT_MM = 5_000.0
 FORCE_LIMIT_N = 5e6
+#: A travel without a unit may be in m where it is shorter than this and nothing soft is as stiff: the frame
+#: of a machine has some 1000 N/mm.
+SHORTEST_MM, STIFFEST_N_PER_MM = 0.1, 500.0
 #: No clock shows so many seconds (stamps count from 1970, or 1904), and no recording lasts so long (3 years).
 STAMP_LIMIT_S = 1e11
 DURATION_LIMIT_S = 1e8
@@ -326,6 +329,21 @@ def _beyond_machines(table: Table, declared: Container[str]) -> Iterator[str]:
             )
 
 
+def _doubted(table: Table) -> tuple[Flag, ...]:
+    """Flags of a table; a travel in mm by assumption, and so short that it may be in m, comes first."""
+    travel, reach = float(np.ptp(table.displacement_mm)), float(np.ptp(table.force_N))
+    if not 0.0 < travel < SHORTEST_MM or reach < STIFFEST_N_PER_MM * travel:
+        return table.flags
+    asked = f": {reach:.3g} N within {travel:.2g} mm, is it in m?"
+    doubtful, others = [], []
+    for flag in table.flags:
+        if flag.code == "units_assumed" and flag.values["quantity"] == "displacement":
+            doubtful.append(Flag("units_assumed", flag.message + asked, flag.values))
+        else:
+            others.append(flag)
+    return (*doubtful, *others)
+
+
 def _beyond_clocks(table: Table) -> Iterator[str]:
     """Times that are no seconds: a stamp in days, ms, us or ns under a name that does not say so."""
     first, last = float(table.time_s[0]), float(table.time_s[-1])
@@ -398,7 +416,7 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
     said = (_normalised(axes), no_specimen(file.path, table.sheet), repeats, held)
     capacity_N = capacity_in(table.metadata, decimal=table.decimal)
     quality = quality_flags(time_s, displacement_mm, force_N, capacity_N=capacity_N)
-    flags = (*table.flags, *(flag for flag in said if flag is not None), *quality)
+    flags = (*_doubted(table), *(flag for flag in said if flag is not None), *quality)
     return Trial(
         specimen=_specimen(file, table),
         time_s=time_s,
