@@ -88,6 +88,22 @@ def test_force_that_never_rises_is_no_contact():
     assert [phase.kind for phase in found.phases] == ["approach"]
 
 
+@pytest.mark.parametrize(("speed", "sets_off_s"), [(100.0, 0.02), (100.0, 0.01), (50.0, 0.03)])
+def test_a_mass_that_sets_off_is_no_specimen_that_breaks(speed, sets_off_s):
+    """A tip of 0.15 kg behind the load cell gains its speed evenly, 8 mm above a tissue; then 5 mm of it."""
+    stop_s = 1.0 + 13.0 / speed
+    time_s = np.arange(0.0, stop_s + 10.0, 1e-3)
+    rate = np.interp(time_s, [1.0, 1.0 + sets_off_s, stop_s, stop_s + sets_off_s], [0.0, speed, speed, 0.0])
+    travel = np.cumsum(rate) * 1e-3 - 8.0
+    depth = np.maximum(travel, 0.0)
+    force = depth + 0.1 * depth**2 + 0.05 * depth**3 + 1.5e-4 * np.gradient(rate, time_s)
+    force += np.random.default_rng(4).normal(0.0, 0.01, time_s.size)
+    found = segment(Trial("liver", time_s, travel, force))
+    assert "rupture" not in codes(found)
+    assert kinds(found)[-2:] == ["ramp", "hold"]
+    assert abs(found.contact.displacement_mm) < 3.0 * found.contact.sd_mm < 0.5
+
+
 @pytest.mark.parametrize("swing_mm", [0.05, 0.3])
 @pytest.mark.parametrize("rest_s", [20.0, 60.0])
 def test_an_organ_that_breathes_is_met_and_held(swing_mm, rest_s):

@@ -34,7 +34,7 @@ DRIFTING = 10.0
 #: start, at least, or this share of the move; it leaves the reading at rest by so many sd of it and comes
 #: back within so many, for as long as it lasted.
 KICK_SAMPLES = 5
-KICK_SHARE = 0.1
+KICK_SHARE = 0.2
 KICK_SD = 6.0
 BACK_SD = 1.5
 BACK_SAMPLES = 3

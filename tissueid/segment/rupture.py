@@ -78,8 +78,12 @@ def ruptures(path: Path, loading: list[Piece], zero: tuple[float, float]) -> lis
         before = next((one for one in loading if one.stop == piece.start), None)
         slowed = before is not None and piece.speed(path) < before.speed(path)
         until = _steady_until(path, piece, loading)
+        sets_off = _sets_off_until(path, piece)
         for fall in _falls(steady, least):
             if slowed and fall.top < 2 * MEDIAN_SAMPLES:
+                continue
+            # the mass of a tool that sets off pushes on the cell, and the tissue more so later
+            if fall.top < sets_off and steady[fall.bottom :].max() > steady[fall.top]:
                 continue
             found = _judge(move, fall, least)
             if found is None:
@@ -106,6 +110,12 @@ def _steady_until(path: Path, piece: Piece, loading: list[Piece]) -> int:
     if leaves - piece.start < STRAIGHT_SHARE * (piece.stop - piece.start):
         leaves = piece.stop
     return min(leaves, int(np.searchsorted(path.time_s, path.time_s[piece.stop] - END_S)) - 1)
+
+
+def _sets_off_until(path: Path, piece: Piece) -> int:
+    """The sample of a move from which it keeps its speed; 0 where it hardly does."""
+    begins = leaves_line(path, piece, piece.start) - piece.start
+    return begins if begins <= (1.0 - STRAIGHT_SHARE) * (piece.stop - piece.start) else 0
 
 
 def _event(inside: Path, start: int, found: tuple[int, int], steady_N: FloatArray) -> Event:
