@@ -217,8 +217,8 @@ class Event:
     time_s: float  # its time [s], as recorded
     #: ``name_unit -> number``.  Rupture: ``force_before_N``, ``drop_N``, ``drop_fraction``, ``depth_mm``
     #: (below contact), ``work_N_mm`` (from contact).  Abort: ``reached_mm`` and what was asked for, as far as
-    #: it is known (``stated_mm``, ``stated_hold_s``, ``earlier_mm``).  Load limit: ``force_N``, ``depth_mm``
-    #: and ``creep_mm``, ``turns`` or ``limit_N``.
+    #: it is known (``stated_mm``, ``stated_hold_s``, or ``travel_mm`` and ``earlier_mm``).  Load limit:
+    #: ``force_N``, ``depth_mm`` and ``creep_mm``, ``turns`` or ``limit_N``.
     values: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

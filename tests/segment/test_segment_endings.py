@@ -17,7 +17,7 @@ def drawn(knots_s: list[float], depths_mm: list[float], **protocol: float) -> Tr
     time = np.arange(0.0, knots_s[-1], 0.01)
     depth = np.interp(time, knots_s, depths_mm)
     noise = 0.02 * np.random.default_rng(4).standard_normal(time.size)
-    return Trial("drawn", time, depth, 10.0 * depth + noise, Protocol(**protocol))
+    return Trial("drawn", time, depth, 10.0 * np.maximum(depth, 0.0) + noise, Protocol(**protocol))
 
 
 @pytest.mark.parametrize(
@@ -28,15 +28,31 @@ def drawn(knots_s: list[float], depths_mm: list[float], **protocol: float) -> Tr
         ([0, 5, 8], [0, 5, 0], {"hold_s": 30.0}, 5.0, {"stated_hold_s": 30.0}),
         ([0, 2, 6, 8, 12, 12.8], [0, 2, 2, 4, 4, 4.8], {}, 12.8, {"reached_mm": 4.8, "earlier_mm": 2.0}),
         ([0, 3, 6, 9, 12, 13.5], [0, 3, 0, 3, 0, 1.5], {}, 13.5, {}),
+        # pushes from 3 mm above the tissue, the last of 3 mm into it
+        (
+            [0, 8, 12, 16, 18, 26, 30, 34, 36, 42],
+            [-3, 5, 5, -3, -3, 5, 5, -3, -3, 3],
+            {},
+            42.0,
+            {"travel_mm": 3.0, "earlier_mm": 5.0},
+        ),
     ],
-    ids=["short of its depth", "no hold", "back without a hold", "a short step", "a short loop"],
+    ids=[
+        "short of its depth",
+        "no hold",
+        "back without a hold",
+        "a short step",
+        "a short loop",
+        "a short push",
+    ],
 )
 def test_a_test_that_ended_early_was_aborted(knots, depths, protocol, time_s, values) -> None:
     found = segment(drawn(knots, depths, **protocol))
     (event,) = events(found, "abort")
     assert event.time_s == pytest.approx(time_s, abs=0.03)
     assert {key: event.values[key] for key in values} == pytest.approx(values, abs=0.05)
-    assert "aborted_ramp" in codes(found)
+    said = flag_of(found, "aborted_ramp").message
+    assert "earlier_mm" not in values or f"after {event.values['travel_mm']:.4g} mm" in said
 
 
 @pytest.mark.parametrize(

@@ -250,6 +250,7 @@ _WORDS: Mapping[str, tuple[str, str]] = {
     "reached_mm": ("depth reached", "mm"),
     "stated_mm": ("depth stated", "mm"),
     "stated_hold_s": ("hold stated", "s"),
+    "travel_mm": ("its way", "mm"),
     "earlier_mm": ("the least before it", "mm"),
     "turns": ("turns", ""),
 }

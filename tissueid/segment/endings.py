@@ -142,7 +142,7 @@ TURN_SD = 3.0
 _WANTED = {
     "stated_mm": "of {:.4g} mm stated",
     "stated_hold_s": "without the {:.4g} s hold",
-    "earlier_mm": "earlier ones {:.4g} mm",
+    "earlier_mm": "earlier ones after {:.4g} mm",
 }
 
 
@@ -291,7 +291,8 @@ def aborts(path: Path, phases: tuple[Phase, ...], protocol: Protocol) -> list[Ev
     ]
     own = float(path.depth_mm[end] - path.depth_mm[last.start]) if not cycles else reached
     if len(earlier) >= FEWEST_EARLIER and own < EARLIER_SHARE * min(earlier):
-        return [Event("abort", end, float(path.time_s[end]), values | {"earlier_mm": min(earlier)})]
+        values |= {"travel_mm": own, "earlier_mm": min(earlier)}
+        return [Event("abort", end, float(path.time_s[end]), values)]
     return []
 
 
@@ -361,7 +362,8 @@ def ending_flags(events: list[Event]) -> list[Flag]:
         values = dict(event.values)
         if event.kind == "abort":
             wanted = ", ".join(words.format(values[key]) for key, words in _WANTED.items() if key in values)
-            message = f"the ramp ends at {values['reached_mm']:.4g} mm, {wanted}"
+            ends = "after {travel_mm:.4g} mm" if "travel_mm" in values else "at {reached_mm:.4g} mm"
+            message = f"the ramp ends {ends.format(**values)}, {wanted}"
             flags.append(Flag("aborted_ramp", message, values))
         elif event.kind == "load_limit":
             force = f"{values['force_N']:.4g} N"
