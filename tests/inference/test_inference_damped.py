@@ -19,7 +19,7 @@ from tissueid.inference.window import fitted_log
 from tissueid.model.grammar import candidates
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.priors import CalibrationPrior, Priors
-from tissueid.segment import segment
+from tissueid.segment import SegmentOptions, segment
 from tissueid.synth.recipe import Hold, Log, Move, Recipe
 from tissueid.synth.simulate import as_trials
 
@@ -125,7 +125,11 @@ def test_an_exponent_that_noise_hides_or_that_ends_its_range_is_none():
     assert rows(fitted((Move(1.6, 20.0), Hold(1.0)), sigma_N=0.8))["n"]["value"] is None
     (trial,) = recorded(RETURNED)
     hold = {key: getattr(trial, key)[330:] for key in ("time_s", "displacement_mm", "force_N")}
-    assert rows(ti.fit(replace(trial, **hold), LAW))["n"]["value"] is None
+    # a tool that leaves, read as one that comes
+    turned = SegmentOptions(compression_sign=-1, force_sign=-1)
+    assert rows(ti.fit(replace(trial, **hold), LAW, segment=turned))["n"]["value"] is None
+    with pytest.raises(InputError, match="no move into the tissue"):
+        ti.fit(replace(trial, **hold), LAW)
 
 
 def test_it_is_put_together_in_python():

@@ -99,6 +99,20 @@ def test_a_crosshead_that_goes_home_through_air_leaves_the_push_where_it_was(sig
     assert "sign_assumed" not in codes(found)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_record_that_begins_deep_in_the_tissue_is_not_read_upside_down(sign):
+    """3 s of a hold 5 mm deep that was not recorded from its start, out into air, and the push 40 s later."""
+    time_s = np.arange(0.0, 95.0, 0.01)
+    travel = np.interp(time_s, [3.0, 6.0, 46.0, 55.0], [5.0, -4.0, -4.0, 5.0])
+    relaxed = 0.7 + 0.3 * np.exp(-np.maximum(time_s - 55.0, 0.0) / 5.0) * (time_s > 46.0)
+    force = 4.0 * np.maximum(travel, 0.0) * relaxed + np.random.default_rng(3).normal(0.0, 0.01, time_s.size)
+    found = segment(Trial("liver", time_s, sign * travel, sign * force))
+    assert (found.compression_sign, found.force_sign) == (sign, sign)
+    assert kinds(found)[-2:] == ["ramp", "hold"]
+    assert sign * found.contact.displacement_mm == pytest.approx(0.0, abs=3.0 * found.contact.sd_mm)
+    assert found.contact.in_record
+
+
 def test_force_against_the_travel_is_said():
     trial = trial_of(Log("s", (Move(4.0, 250.0), Hold(2.0))))
     found = segment(Trial("t", trial.time_s, -trial.displacement_mm, trial.force_N))

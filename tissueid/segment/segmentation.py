@@ -196,12 +196,15 @@ class _Moves:
     before: list[Piece]  # that may have touched it
 
     def shallow_from(self, path: Path) -> int:
-        """Sample from which the tool stays shallower than the first will take it: records may begin deep."""
+        """Sample from which the tool, having left, is on its way to the first: records may begin deep."""
         if not self.meeting:
             return 0
         first = self.meeting[0]
         deeper = np.flatnonzero(path.depth_mm[: first.start] >= path.depth_mm[first.stop])
-        return int(deeper[-1]) + 1 if deeper.size else 0
+        if not deeper.size:
+            return 0
+        left = int(deeper[-1]) + 1
+        return left + int(np.argmin(path.depth_mm[left : first.start + 1]))
 
 
 def _without_broken(phases: tuple[Phase, ...], events: tuple[Event, ...]) -> tuple[Phase, ...]:

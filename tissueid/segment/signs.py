@@ -22,6 +22,8 @@ DOUBTFUL_EXCURSION = 0.5
 #: Share of the force's own change that its change over the travel must reach to have a sign, and that on
 #: the other side of the start to count.
 DOUBTFUL_FORCE = 0.3
+#: A tool that has let go is under this share of its first force at the most.
+LET_GO = 0.05
 #: Names of what is left between the tools, or above the table: it falls as the tool goes in.
 _CLOSES = re.compile(
     r"gap|separation|abstand|[ée]cartement|height|h(?:ö|oe)he|hauteur|tip ?position", re.IGNORECASE
@@ -38,10 +40,10 @@ def signs(trial: Trial, options: SegmentOptions) -> tuple[int, int, list[Flag]]:
     # a specimen that broke, or relaxed after a fast start, may carry less at its deepest: where force leaves
     # its first level to one side only, that side tells
     calm = without_spikes(force, noise=white_noise_sd(trial.time_s, force))
-    level = float(np.median(calm[:FIRST_SAMPLES]))
+    level, begins_deep = float(np.median(calm[:FIRST_SAMPLES])), _begins_deep(x, calm)
     compression = options.compression_sign
     if compression is None:
-        loaded = _loaded_side(x, np.abs(calm - level))
+        loaded = _loaded_side(x, np.abs(calm - level)) * (-1 if begins_deep else 1)
         compression = loaded or (1 if out >= back else -1)
         minor, major = sorted((out, back))
         if not loaded and major > 0.0 and minor > DOUBTFUL_EXCURSION * major:
@@ -49,6 +51,8 @@ def signs(trial: Trial, options: SegmentOptions) -> tuple[int, int, list[Flag]]:
             values = {"positive_mm": out, "negative_mm": back, "compression_sign": compression}
             flags.append(Flag("sign_assumed", message, values))
     depth = compression * (x - x[0])
+    if begins_deep:
+        depth -= depth.min()
     force_sign = options.force_sign
     # force at the deepest part against force at the start of the travel
     deep, shallow = depth >= 0.8 * depth.max(), depth <= 0.2 * depth.max()
@@ -57,7 +61,7 @@ def signs(trial: Trial, options: SegmentOptions) -> tuple[int, int, list[Flag]]:
         force_sign = -1 if change < 0.0 else 1
         rise, fall = float(calm.max()) - level, level - float(calm.min())
         doubtful = abs(change) < DOUBTFUL_FORCE * float(np.ptp(force))
-        if doubtful or min(rise, fall) < DOUBTFUL_FORCE * max(rise, fall):
+        if doubtful or (min(rise, fall) < DOUBTFUL_FORCE * max(rise, fall) and not begins_deep):
             force_sign = 1 if rise >= fall else -1
         if doubtful:
             reach = float(np.ptp(force))
@@ -83,6 +87,15 @@ def _loaded_side(x: FloatArray, changed_N: FloatArray) -> int:
     if min(ahead, behind) >= DOUBTFUL_FORCE * max(ahead, behind):
         return 0
     return 1 if ahead >= behind else -1
+
+
+def _begins_deep(x: FloatArray, force_N: FloatArray) -> bool:
+    """True where the tool stands under a force at first, and under hardly any at its furthest."""
+    way = np.abs(x - x[0])
+    first, far = (
+        abs(float(np.median(part))) for part in (force_N[:FIRST_SAMPLES], force_N[way >= 0.8 * way.max()])
+    )
+    return first > DOUBTFUL_FORCE * float(np.abs(force_N).max()) and far < LET_GO * first
 
 
 #: Fewest samples in air from which a drift is told, and blocks they are averaged in.
