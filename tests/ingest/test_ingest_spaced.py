@@ -381,6 +381,19 @@ def test_a_channel_of_coarse_steps_keeps_all_its_rows(tmp_path: Path) -> None:
         assert "held_channel" not in codes(trial)
 
 
+def test_a_tool_that_moves_in_steps_keeps_all_its_rows(tmp_path: Path) -> None:
+    """Twenty growing steps, each 10 s, over between two samples: the force leaps with them and relaxes."""
+    time_s = np.arange(0.0, 210.0, 0.5)
+    step = (time_s // 10.0).astype(int)
+    depth = 0.01 * step * (step + 3)
+    force = 3.0 * depth + 0.03 * step * np.exp(-np.mod(time_s, 10.0) / 3.0)
+    force += np.random.default_rng(5).normal(0.0, 0.002, time_s.size)
+    rows = "".join(f"{t:.1f},{x:.4f},{f:.4f}\n" for t, x, f in zip(time_s, depth, force, strict=True))
+    trial = read_text(tmp_path / "a.csv", "Time (s),Displacement (mm),Force (N)\n" + rows)
+    assert trial.time_s.size == time_s.size
+    assert "held_channel" not in codes(trial)
+
+
 def test_a_sampling_that_changes_is_spread_tick_by_tick() -> None:
     true = np.concatenate([np.arange(0.0, 10.0, 0.02), np.arange(10.0, 100.0, 0.5)])
     shown = np.floor(true / 0.1 + 1e-9) * 0.1

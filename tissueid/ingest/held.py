@@ -20,6 +20,8 @@ SHORTEST = 2.0
 UNEVEN_ROWS, UNEVEN_SHARE = 0.999, 0.1
 #: ... or as several of them, where the channel stands; so many must.
 EVENLY = 0.9
+#: A tool that moves in steps moves the force with it: by so many times what it changed by a row before.
+STEPPED = 4.0
 #: Steps of a coarse channel are whole multiples of its smallest within this share of it; fewer are chance.
 OFF_STEP, FEWEST_OFF = 0.2, 2
 
@@ -60,6 +62,12 @@ def _read_at(values: FloatArray, rows: float) -> IntArray:
     return np.repeat(starts, count) + np.floor(within * np.repeat(lasted / count, count)).astype(np.intp)
 
 
+def _stepped(held: FloatArray, other: FloatArray) -> bool:
+    """True where the other channel changes with what looks held: the tool itself moves in steps."""
+    changes, changed = np.flatnonzero(np.diff(held[1:]) != 0.0) + 1, np.abs(np.diff(other))
+    return float(np.median(changed[changes])) > STEPPED * float(np.median(changed[changes - 1]))
+
+
 def read_anew(
     time_s: FloatArray, displacement_mm: FloatArray, force_N: FloatArray
 ) -> tuple[tuple[FloatArray, FloatArray, FloatArray], Flag | None]:
@@ -69,7 +77,8 @@ def read_anew(
     lasts = {name: _rows_a_reading(values) for name, values in names.items()}
     slower = max(lasts, key=lambda name: lasts[name])
     rows = lasts[slower]
-    if rows == 0.0:
+    other = min(lasts, key=lambda name: lasts[name])
+    if rows == 0.0 or (lasts[other] == 0.0 and _stepped(names[slower], names[other])):
         return channels, None
     at = _read_at(names[slower], rows)
     every_s = float(np.median(np.diff(time_s[at])))
