@@ -256,8 +256,9 @@ def run() -> None:
     for name in BLAS_THREADS:
         os.environ.setdefault(name, "1")
     # a stream that was closed before the start is None: what is said there goes nowhere
-    nowhere = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
-    sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115, PTH123
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         # a scheduler ends a job so: it is told, and leaves its place, as after Ctrl-C
         signal.signal(signal.SIGTERM, signal.default_int_handler)
