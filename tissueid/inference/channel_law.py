@@ -232,11 +232,10 @@ class ChannelLaw:
         values = self._values(log_times)
         self._static_columns(path, values, out)
         if self.inside:
-            # the elastic curve is a log's own, gain and all
-            static = path.gained(out).copy()
+            static = out.copy()
             for j, state in enumerate(self._relaxed(path, static, values)):
                 out += self._of_branch(values, j)[0] * state
-            return out
+            return path.gained(out)
         u = out[0] if self.static.polynomial else path.depth_mm / self.depth_mm
         at = self.static_size
         for state in self._relaxed(path, u, values):
@@ -263,11 +262,8 @@ class ChannelLaw:
         if self.inside:
             ratios = [self._of_branch(values, j)[0] for j in range(self.branches)]
             share = np.concatenate([ratio * one for ratio, one in zip(ratios, weights, strict=True)])
-            if path.rise is not None:
-                self._static_columns(path, values, columns := np.empty((self.linear, u.size)))
-                direct = direct + path.rise * (linear @ columns)
-            direct = path.gained(direct)
-            return Slopes(direct, np.zeros((tau.size, u.size)), tau, share[:, None] * direct)
+            inner = share[:, None] * direct
+            return Slopes(path.gained(direct), np.zeros((tau.size, u.size)), tau, inner)
         rows = linear[self.static_size :].reshape(self.branches, self.powers).T
         stiffness = np.polynomial.polynomial.polyval(u, rows)
         outer = np.concatenate([one[:, None] * k for one, k in zip(weights, stiffness, strict=True)])

@@ -30,9 +30,7 @@ class Path:
     fresh: NDArray[np.int64]  # first point of each log
     #: (m,): speed over that at which each contact began, as recorded; zero where no law follows it.
     speed_ratio: FloatArray = field(default_factory=lambda: np.zeros(1))
-    #: (m,) and (n, m): gain of the logs, and its derivative in ln by depth over the largest; none without.
-    gain: FloatArray | None = None
-    rise: FloatArray | None = None
+    gain: FloatArray | None = None  # (m,) and (n, m), of the logs
 
     def gained(self, values: FloatArray) -> FloatArray:
         """Values times the gain, in place."""
@@ -104,20 +102,21 @@ def passive_rows(powers: int) -> FloatArray:
 class Slopes:
     """Derivative of a force along a path by depth over the largest depth [N].
 
-    Of a change of depth: ``direct`` at once, ``outer`` times its convolution, and the convolution of
-    ``inner`` times it.
+    Of a change of depth: ``direct`` at once, ``outer`` times its convolution, and ``gain`` times the
+    convolution of ``inner`` times it.
     """
 
     direct: FloatArray  # (m,)
     outer: FloatArray  # (j, m)
     tau_s: FloatArray  # (j,)
     inner: FloatArray | None = None  # (j, m); None where nothing stands inside the convolution
+    gain: FloatArray | float = 1.0
 
     def sudden(self, path: Path) -> FloatArray:
         """Change of the force by a change of depth within one step, shape (m,)."""
         shares = sudden_shares(path, self.tau_s)
         shares[:, path.fresh] = 0.0
-        steep = self.outer if self.inner is None else self.outer + self.inner
+        steep = self.outer if self.inner is None else self.outer + self.gain * self.inner
         return np.asarray(self.direct + (steep * shares).sum(axis=0))
 
     def change(self, path: Path, depth: FloatArray) -> FloatArray:
@@ -125,5 +124,5 @@ class Slopes:
         states = relaxation_states(path, depth, self.tau_s)
         out = self.direct * depth + (self.outer * states).sum(axis=1)
         for j, row in enumerate(() if self.inner is None else self.inner):
-            out = out + relaxation_states(path, row * depth, self.tau_s[j : j + 1])[:, 0]
+            out = out + self.gain * relaxation_states(path, row * depth, self.tau_s[j : j + 1])[:, 0]
         return np.asarray(out)

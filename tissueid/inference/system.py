@@ -396,17 +396,14 @@ class System:
 
     def _slopes(self, point: Point, path: Path) -> Slopes:
         """Answer of the force to changes of depth, gains in it; none in air."""
+        slopes, touching = self.law.slopes(point.log_times, path, point.linear), path.depth_mm > 0.0
+        direct, inner = slopes.direct, slopes.inner
         if self.effects.shape:
             u = path.depth_mm / self.depth_mm
             bend = np.stack([2.0 * (u - 1.0), 2.0 - 4.0 * u])  # derivatives of the shapes
-            path = replace(path, rise=self._by_shape(point, bend))
-        slopes, touching = self.law.slopes(point.log_times, path, point.linear), path.depth_mm > 0.0
-        direct, inner = slopes.direct, slopes.inner
-        if inner is not None:
-            inner = inner * touching
-        elif path.rise is not None:
-            direct = direct + path.rise * self.guess
-        return Slopes(direct * touching, slopes.outer * touching, slopes.tau_s, inner)
+            direct = direct + self._by_shape(point, bend) * self.guess
+        inner, gain = None if inner is None else inner * touching, 1.0 if path.gain is None else path.gain
+        return Slopes(direct * touching, slopes.outer * touching, slopes.tau_s, inner, gain)
 
     def _given_way(self, point: Point, path: Path, rows: FloatArray) -> FloatArray:
         """Changes of the force that are left of ``rows``, the frame giving way to them, (c, m)."""
@@ -464,7 +461,7 @@ class System:
         moved = point.linear @ self.law.columns(point.log_times, self.path(behind + STEP_DEPTH, point))
         by_contact = (still - moved) / STEP_DEPTH
         parts += [-self.at_points(self.onset) * by_contact if machine else none, *columns]
-        parts += self._by_own(point, path, behind, (base, still, by_contact, parts[: self.law.times]))
+        parts += self._by_own(point, behind, (base, still, by_contact, parts[: self.law.times]))
         tip = np.stack(parts)
         if self._yields(point):
             tip = self._given_way(point, path, tip)
@@ -492,7 +489,6 @@ class System:
     def _by_own(
         self,
         point: Point,
-        path: Path,
         behind: FloatArray,
         here: tuple[FloatArray, FloatArray, FloatArray, list[FloatArray]],
     ) -> list[FloatArray]:
@@ -509,10 +505,5 @@ class System:
             slower = self.law.columns(point.log_times, self.path(behind, point, STEP_LN))
             out.append((point.linear @ slower - still) / STEP_LN)
         if self.effects.shape:
-            curves = _shape(np.maximum(behind, 0.0))
-            if self.law.model_of is None:
-                return [*out, *(base * curves)]
-            for one in curves:
-                bent = replace(path, gain=one if path.gain is None else path.gain * one)
-                out.append(point.linear @ self.law.columns(point.log_times, bent))
+            out += list(base * _shape(np.maximum(behind, 0.0)))
         return out

@@ -50,8 +50,7 @@ class YardstickLaw(ChannelLaw):
 
     def columns(self, log_times: FloatArray, path: Path) -> FloatArray:  # noqa: ARG002
         """Columns along a path, shape (linear, m) or (linear, n, m)."""
-        out = np.empty((self.linear, *path.depth_mm.shape))
-        curves = path.gained(self.static.basis(path.depth_mm))
+        out, curves = np.empty((self.linear, *path.depth_mm.shape)), self.static.basis(path.depth_mm)
         out[:INSIDE] = curves
         many = path.depth_mm.shape[0] if path.depth_mm.ndim > 1 else None
         u = path.depth_mm / self.depth_mm
@@ -61,16 +60,13 @@ class YardstickLaw(ChannelLaw):
             if j < len(self.mark.inside_s):
                 out[part.stiffness] = relaxation_states(path, curves, times)[:, 0]
             else:
-                out[part.stiffness] = path.gained(present * relaxation_states(path, u, times)[0])
-        return out
+                out[part.stiffness] = present * relaxation_states(path, u, times)[0]
+        return path.gained(out)
 
     def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray) -> Slopes:  # noqa: ARG002
         """Slope of the static curve at once, of each node through what it follows."""
         x = path.depth_mm
-        slope = self.static.slope(x) * self.depth_mm
-        if path.rise is not None:
-            slope = slope + path.rise * self.static.basis(x)
-        direct = linear[:INSIDE] @ slope
+        direct = linear[:INSIDE] @ self.static.slope(x) * self.depth_mm
         inside, outer = np.zeros((self.branches, x.size)), np.zeros((self.branches, x.size))
         step, u = 1e-6, x / self.depth_mm
         present = presents(u)
@@ -78,13 +74,12 @@ class YardstickLaw(ChannelLaw):
         for j, part in enumerate(self.mark.parts):
             weights = linear[part.stiffness]
             if j < len(self.mark.inside_s):
-                inside[j] = weights @ slope
+                inside[j] = weights @ self.static.slope(x) * self.depth_mm
                 continue
             outer[j] = weights @ present
             state = relaxation_states(path, u, self.fixed_s[j : j + 1])[0]
-            bent = weights @ bend if path.rise is None else weights @ bend + path.rise * outer[j]
-            direct = direct + bent * state
-        return Slopes(path.gained(np.asarray(direct)), path.gained(outer), self.fixed_s, path.gained(inside))
+            direct = direct + weights @ bend * state
+        return Slopes(path.gained(np.asarray(direct)), path.gained(outer), self.fixed_s, inside)
 
     def passive(self, block: Block) -> FloatArray:
         """No weight is negative."""
