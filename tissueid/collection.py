@@ -182,20 +182,6 @@ class Collected:
         )
 
 
-def _not_pooled(trial: Trial, options: SegmentOptions, collected: Collected) -> Refusal | None:
-    """Refusal of a trial that can't count beside those of its specimen: of other units, or a copy."""
-    if trial.axes != collected.axes.get(trial.specimen, trial.axes):
-        return _mixed_axes(trial)
-    source, whole = trial.source, options.start_s is None and options.end_s is None
-    for one in collected.inputs if source.sha256 and whole else ():
-        if (one["sha256"], one["sheet"], one["specimen"]) == (source.sha256, source.sheet, trial.specimen):
-            message = (
-                f"a copy of {one['path']}, which counts once in its specimen; delete one, or --exclude it"
-            )
-            return Refusal(path=source.path, sheet=source.sheet, code="copy", message=message)
-    return None
-
-
 def _beyond_frame(trial: Trial, segmentation: Segmentation, study: Study | None) -> Refusal | None:
     frame = None if study is None else study.calibration.frame
     contact = segmentation.contact
@@ -275,8 +261,8 @@ def collect(
                 continue
             collected.decisions[source.path, source.sheet] = decision
         trial, own, why = as_decided(raw, options, study, decision)
-        if why is None and (apart := _not_pooled(trial, own, collected)) is not None:
-            collected.left_out.append(apart)
+        if why is None and trial.axes != collected.axes.get(trial.specimen, trial.axes):
+            collected.left_out.append(_mixed_axes(trial))
             continue
         key = (str(count), None) if cache.reload is None else (source.path, source.sheet)
         handle = _handle(trial, own, study, _loader(cache, key, source, study), unfitted, unloading=unloading)

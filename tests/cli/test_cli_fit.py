@@ -53,17 +53,6 @@ def test_files_with_one_header_label_are_one_specimen(tmp_path):
     assert {entry["specimen"] for entry in document["provenance"]["inputs"]} == {"kidney 7"}
 
 
-def test_a_copy_counts_once_in_its_specimen(tmp_path):
-    first = tmp_path / "lab" / "log-1.csv"
-    write_log(first, label="kidney 7", force_times=1.0)
-    shutil.copy(first, first.with_name("log-1 - copy.csv"))
-    document = run("fit", tmp_path / "lab", "-o", tmp_path / "out", "--json", *QUICK, code={7}).json()
-    assert logs_of(document) == {"kidney 7": 1}
-    (refused,) = document["refused"]
-    assert refused["error"]["code"] == "copy"
-    assert "a copy of" in refused["error"]["message"]
-
-
 def test_each_sheet_is_its_own_specimen(tmp_path):
     document = fit(tmp_path / "out", write_workbook(tmp_path / "book.xlsx", "left", "right"), *QUICK)
     assert logs_of(document) == {"left": 1, "right": 1}

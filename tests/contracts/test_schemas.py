@@ -77,7 +77,7 @@ def test_every_schema_is_valid_and_written_from_the_types(name: str) -> None:
 def test_refusal_codes_are_those_of_ingest_and_those_a_fit_adds() -> None:
     refusals = pytest.importorskip("tissueid.ingest.refusals")
     known = set(load_schema("inspect")["$defs"]["error"]["properties"]["code"]["enum"])
-    added = ("no_contact", "too_few_samples", "fit_failed", "mixed_axes", "copy", "frame_range")
+    added = ("no_contact", "too_few_samples", "fit_failed", "mixed_axes", "frame_range")
     of_jobs = ("job_failed", "out_of_memory", "worker_killed", "other_versions")
     assert known == {*refusals.REFUSAL_CODES, *added, *of_jobs}
 

@@ -10,7 +10,7 @@ from tissueid.documents.quantities import Cycle
 from tissueid.flags import Flag
 
 #: Why an input was refused: REFUSAL_CODES of tissueid.ingest.refusals, and those that only a fit finds
-#: (no_contact, too_few_samples, fit_failed, mixed_axes, copy, frame_range), or that end a job.
+#: (no_contact, too_few_samples, fit_failed, mixed_axes, frame_range), or that end a job.
 RefusalCode = Literal[
     "unreadable_file", "empty_file", "not_an_export", "unreadable_workbook", "unreadable_archive",
     "reader_failed", "job_failed", "out_of_memory", "worker_killed", "other_versions", "no_trial_sheet",
@@ -18,7 +18,7 @@ RefusalCode = Literal[
     "wrong_unit", "unit_conflict", "ambiguous_decimal", "inconsistent_decimal", "damaged_number",
     "text_in_numbers", "empty_cell", "not_finite", "ragged_rows", "mixed_tables", "time_backwards",
     "several_clocks", "implausible_range", "invalid_study", "study_unmatched", "invalid_frame", "damaged_log",
-    "wrong_scale", "not_rigid", "frame_range", "no_contact", "fit_failed", "mixed_axes", "copy",
+    "wrong_scale", "not_rigid", "frame_range", "no_contact", "fit_failed", "mixed_axes",
     "too_few_samples",
 ]  # fmt: skip
 
