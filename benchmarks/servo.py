@@ -31,7 +31,6 @@ import numba as nb
 import numpy as np
 from harness import command_line
 
-from tissueid.haptics import device as devices
 from tissueid.haptics.device import CompiledIO, compiled_io
 from tissueid.haptics.falcon.kinematics import DEFAULT_GEOMETRY
 from tissueid.haptics.falcon.servo_io import DESCRIPTOR
@@ -157,8 +156,7 @@ def ping_pong_hz() -> float:
     try:
         os.set_blocking(ours, False)
         time.sleep(0.5)
-        handles = np.zeros(devices.HANDLES_SIZE, np.int64)
-        handles[0] = ours
+        handles = np.array([ours], np.int64)
         constants = np.concatenate([[6600.0], DEFAULT_GEOMETRY.block()])
         io = compiled_io(CompiledIO("tissueid.haptics.falcon.servo_io:DESCRIPTOR", handles, constants))
         room = (GuardLimits().block(), new_guard(), np.zeros(3), np.zeros(3, np.int64), np.zeros(4, np.int64))
