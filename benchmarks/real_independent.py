@@ -1,16 +1,15 @@
 """An independent fit of the modified Kelvin-Voigt model: lmfit on the samples, white residuals, other starts.
 
 Relaxation times are searched by their logarithms, gains and contact offsets of the logs of one specimen
-beside them, the latter with the prior of their contact points, and the machine's frame and skew with theirs
-(a filter delays as skew does); F_s and K follow by least squares among the curves that are not negative
-within the fitted depth.
+beside them, the latter with the prior of their contact points, and of a single log the machine's frame and
+skew with theirs (a filter delays as skew does); F_s and K follow by least squares among the curves that are
+not negative within the fitted depth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
 
 import lmfit
 import numpy as np
@@ -55,8 +54,8 @@ def _parameters(
     parameters = lmfit.Parameters()
     _add_taus(parameters, problem.logs, problem.law.branches, span)
     several = len(problem.logs) > 1
-    parameters.add("frame", value=0.01, min=0.0, max=MOST_SDS)
-    parameters.add("skew", value=0.01, min=-MOST_SDS, max=MOST_SDS)
+    parameters.add("frame", value=0.0 if several else 0.01, min=0.0, max=MOST_SDS, vary=not several)
+    parameters.add("skew", value=0.0 if several else 0.01, min=-MOST_SDS, max=MOST_SDS, vary=not several)
     for i, gain in enumerate(problem.gain_start()):
         parameters.add(f"lngain{i}", value=gain if several else 0.0, min=-GAIN, max=GAIN, vary=several)
         parameters.add(f"offset{i}", value=0.0, min=-OFFSET_MM, max=OFFSET_MM, vary=contacts)
@@ -77,13 +76,15 @@ def _parts(parameters: lmfit.Parameters, problem: PooledProblem) -> tuple[Array,
     )
 
 
-def _recorded(problem: PooledProblem, frame: float, skew: float) -> PooledProblem:
+def _recorded(problem: PooledProblem, parameters: lmfit.Parameters) -> PooledProblem:
     """The problem as the machine recorded it: force late by the skew, depth less what the frame gives."""
-    logs = []
-    for log in problem.logs:
-        late = np.interp(log.time_s - SKEW * skew, log.time_s, log.depth_mm)
-        logs.append(replace(log, depth_mm=np.maximum(late - FRAME * frame * log.force_N, 0.0)))
-    return PooledProblem(problem.law, logs)
+    frame, skew = parameters["frame"], parameters["skew"]
+    if not (frame.vary or skew.vary):
+        return problem
+    (log,) = problem.logs
+    late = np.interp(log.time_s - SKEW * skew.value, log.time_s, log.depth_mm)
+    depth = np.maximum(late - FRAME * frame.value * log.force_N, 0.0)
+    return PooledProblem(problem.law, [replace(log, depth_mm=depth)])
 
 
 def named(law: Paper, weights: Array, ln_tau: Array) -> dict[str, float]:
@@ -104,10 +105,8 @@ def named(law: Paper, weights: Array, ln_tau: Array) -> dict[str, float]:
 def _best(problem: PooledProblem, unit: float, contact_sd: Array | None, *, shaped: bool) -> lmfit.Parameters:
     """Parameters of the best of all starts; contact points are searched if they have a standard deviation."""
 
-    behind = lru_cache(maxsize=2)(partial(_recorded, problem))  # what it keeps of its logs serves again
-
     def residual(parameters: lmfit.Parameters) -> Array:
-        parts, here = _parts(parameters, problem), behind(parameters["frame"].value, parameters["skew"].value)
+        parts, here = _parts(parameters, problem), _recorded(problem, parameters)
         scaled = here.residual(here.columns(*parts)) / unit
         priors = [parameters["frame"].value, parameters["skew"].value]
         return np.concatenate([scaled, priors, [] if contact_sd is None else parts[2] / contact_sd])
@@ -147,7 +146,7 @@ def independent_fit(
     problem = PooledProblem(law, logs)
     sd = None if contact_sd_mm is None else np.maximum(contact_sd_mm, 1e-9)
     best = _best(problem, max(sigma_N, 1e-300), sd, shaped=shaped)
-    parts, problem = _parts(best, problem), _recorded(problem, best["frame"].value, best["skew"].value)
+    parts, problem = _parts(best, problem), _recorded(problem, best)
     columns = problem.columns(*parts)
     weights = cone_weights(columns, problem.force)
     return named(law, weights, parts[0]), rms(problem.residual(columns))
