@@ -38,7 +38,7 @@ from tissueid.store.schema import check, first_problem
 #: Place of a twin in an output folder.
 TWIN = Path("twin") / "twin.json"
 _LONGEST_LIST = 8
-_WAY_OUT = "run `tissueid fit` again"
+_WAY_OUT, _RUPTURE_AGAIN = (f"run `tissueid {command}` again" for command in ("fit", "rupture"))
 
 #: Specimen of a run, its curves and its draws.
 Result = tuple[Specimen, tuple[TrialCurve, ...], StoredPosterior | None]
@@ -108,7 +108,7 @@ def each_result(out: Path | str) -> Iterator[Result]:
 def validate_outputs(out: Path | str) -> None:
     """Refuse an output folder that is not wholly one run's, by a BundleError that names every problem."""
     # a folder without a run says so itself, with the way out
-    way_out = _WAY_OUT.replace("fit", "rupture" if RUPTURE in _committed(Path(out)).files else "fit")
+    way_out = _RUPTURE_AGAIN if RUPTURE in _committed(Path(out)).files else _WAY_OUT
     problems = output_problems(out)
     if problems:
         shown = problems[:_LONGEST_LIST]
@@ -198,7 +198,9 @@ def _hash_problems(out: Path, run: CommittedRun) -> Iterable[str]:
 def _rupture_problems(out: Path, run: CommittedRun) -> Iterator[str]:
     """Faults of the document and the bundles of a set of tests to rupture."""
     try:
-        _checked(out / RUPTURE, "rupture", "run `tissueid rupture` again")
+        broken = first_problem(_checked(out / RUPTURE, "rupture", _RUPTURE_AGAIN), "rupture")
+        if broken is not None:
+            yield f"{RUPTURE} breaks its schema at {broken}"
         for name in run.files:
             if name.endswith(".h5"):
                 load_bundle(out / name)
