@@ -137,8 +137,7 @@ def fit(
     given = [trials] if isinstance(trials, Trial) else list(trials)
     if not given or not all(isinstance(one, Trial) for one in given):
         refuse("there are no recordings to fit; read some with tissueid.read(folder)")
-    names = display_names([(one.specimen, one.source) for one in given])
-    known = {names[one.specimen] for one in given}
+    known = set(display_names([(one.specimen, one.source) for one in given]).values())
     name = specimen or (known.pop() if len(known) == 1 else "specimen")
     pooled = [replace(one, specimen=name) for one in given]
     cut = segment or SegmentOptions()
