@@ -10,6 +10,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray, IntArray
@@ -27,6 +28,8 @@ QUANTISED_SHARE = 0.2
 FEWEST_CHANGES = 8
 #: Changes that differ by less than this share are of one step.
 ALIKE = 0.1
+#: A crosshead stands where it has not moved for so many samples: between steps of one as slow it rests less.
+STANDING = 4
 #: Time steps that differ by less than this share of their median count as equal.
 EQUAL_STEP = 0.01
 #: Steps whose median a step is compared with: the first step of a new rate sees five of its own nine.
@@ -45,15 +48,27 @@ def quantum(values: FloatArray, *, fewest: int = 1) -> float:
     ``fewest``: changes that show one.
     """
     steps = np.abs(np.diff(values))
-    moved = steps[steps > 0.0]
-    if moved.size < fewest or moved.size > (1.0 - QUANTISED_SHARE) * steps.size:
+    changes = int(np.count_nonzero(steps))
+    moved = _steps_of_their_own(steps)
+    if moved.size < max(fewest, 1) or changes > (1.0 - QUANTISED_SHARE) * steps.size:
         return 0.0
-    count = max(1, moved.size // 10)
+    count = min(max(1, changes // 10), moved.size)
     smallest = np.partition(moved, count - 1)[:count]
     step = float(np.median(smallest))
     # a crosshead that brakes to a standstill moves by less and less: no two changes are equal
     alike = np.abs(smallest - step) <= ALIKE * step
     return step if 2 * int(alike.sum()) >= count else 0.0
+
+
+def _steps_of_their_own(steps: FloatArray) -> FloatArray:
+    """Steps above 0, without those inside a straight ramp and at its corners, which are the speed's."""
+    padded = np.pad(steps, STANDING, mode="edge")
+    windows = sliding_window_view(padded, STANDING)
+    stood, stands = windows[: steps.size].max(axis=1) == 0.0, windows[STANDING + 1 :].max(axis=1) == 0.0
+    before, after = padded[STANDING - 1 : -STANDING - 1], padded[STANDING + 1 : padded.size - STANDING + 1]
+    inside = (np.abs(before - steps) <= ALIKE * steps) & (np.abs(after - steps) <= ALIKE * steps)
+    corner = (stood & (after > 0.0)) | (stands & (before > 0.0))
+    return steps[(steps > 0.0) & ~inside & ~corner]
 
 
 def white_noise_sd(time_s: FloatArray, values: FloatArray, *, fewest: int = 1) -> float:

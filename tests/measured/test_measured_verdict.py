@@ -60,9 +60,9 @@ REASONS: dict[str, tuple[dict[str, Any], str, str]] = {
         r"hold too short: 6(\.0\d)? s for a relaxation time of (4|4\.\d|3\.9) s; hold 12 s or longer",
     ),
     "few samples in the ramp": (
-        {"rate_Hz": 4.0, "brake_s": 0.0, "air_mm": 4.0},
+        {"rate_Hz": 4.0, "speed": 2.5, "brake_s": 0.0, "air_mm": 4.0},
         "look",
-        r"sampling too slow: [89] samples in a ramp of [\d.]+ s; take \d+ Hz",
+        r"sampling too slow: [78] samples in a ramp of [\d.]+ s; take \d+ Hz",
     ),
     "few samples in the relaxation": (
         {"rate_Hz": 10.0, "tau_s": 0.12, "brake_s": 0.0},

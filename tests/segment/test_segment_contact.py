@@ -174,6 +174,25 @@ def test_quantised_force_has_at_least_the_noise_of_its_step():
     assert quantum(np.concatenate([-(np.linspace(-1.0, 0.0, 60) ** 2), np.zeros(60)])) == 0.0
 
 
+@pytest.mark.parametrize("slope", [0.05, 0.3, 0.9, 0.99, 1.1, 1.9])
+def test_steps_of_a_reading_are_told_from_those_of_a_speed(slope):
+    ramp = np.clip(np.arange(1200.0) - 400.0, 0.0, 400.0)
+    assert quantum(np.round(slope * ramp) * 0.01, fewest=8) == pytest.approx(0.01)
+    # eight pushes without noise, their corners on samples: steps of 0.2 mm are the crosshead's, at 10 Hz
+    one = np.interp(np.arange(160.0), [10.0, 30.0, 130.0, 150.0], [0.0, 4.0, 4.0, 0.0])
+    assert quantum(np.tile(one, 8), fewest=8) == 0.0
+
+
+@pytest.mark.parametrize("rate_Hz", [5.0, 10.0, 50.0])
+@pytest.mark.parametrize("air_s", [1.0, 2.0])
+def test_a_ramp_of_few_equal_steps_is_whole(rate_Hz, air_s):
+    time_s = np.arange(0.0, 14.0, 1.0 / rate_Hz)
+    travel = np.clip(2.0 * (time_s - air_s), 0.0, 4.0)
+    force = travel + 0.2 * travel**2 + 0.02 * np.random.default_rng(3).standard_normal(time_s.size)
+    (ramp,) = (phase for phase in segment(Trial("r", time_s, travel, force)).phases if phase.kind == "ramp")
+    assert (ramp.start_s, ramp.end_s) == pytest.approx((air_s, air_s + 2.0))
+
+
 @pytest.mark.parametrize("which", ["force_N", "displacement_mm"])
 @pytest.mark.parametrize("at", [5, 60])
 def test_one_wild_sample_does_not_move_the_contact(which, at):
