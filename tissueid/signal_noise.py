@@ -68,7 +68,7 @@ def _steps_of_their_own(steps: FloatArray) -> FloatArray:
     before, after = padded[STANDING - 1 : -STANDING - 1], padded[STANDING + 1 : padded.size - STANDING + 1]
     inside = (np.abs(before - steps) <= ALIKE * steps) & (np.abs(after - steps) <= ALIKE * steps)
     corner = (stood & (after > 0.0)) | (stands & (before > 0.0))
-    return steps[(steps > 0.0) & ~inside & ~corner]
+    return np.asarray(steps[(steps > 0.0) & ~inside & ~corner])
 
 
 def white_noise_sd(time_s: FloatArray, values: FloatArray, *, fewest: int = 1) -> float:

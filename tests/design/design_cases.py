@@ -154,6 +154,7 @@ def _truth(case: Case, check: TissueCheck, rng: np.random.Generator) -> Truth:
     return Truth(
         theta=case.tissues.theta[0],
         gain=np.exp(case.asked.gain_sd * rng.standard_normal(logs)),
+        slower=np.exp(case.asked.time_sd * rng.standard_normal(logs)),
         offset_mm=case.machine.contact_sd_mm * rng.standard_normal(logs),
         sigma_N=case.setting.noise_N,
         phi=case.setting.phi,

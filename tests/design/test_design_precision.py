@@ -113,7 +113,7 @@ def published(rate_Hz: float) -> tuple[float, float]:
     """sd of tau and eta [%] for paper A's 30 logs at 1 N of white noise, one static curve, contact known."""
     case = paper_a()
     machine = replace(case.machine, acceleration_mm_s2=1e7, contact_sd_mm=1e-9)
-    asked = replace(case.asked, gain_sd=0.0)
+    asked = replace(case.asked, gain_sd=0.0, time_sd=0.0)
     case = replace(case, machine=machine, setting=Setting(rate_Hz, 1.0), asked=asked)
     found = case.predicted()
     return 100.0 * found[TAU], 100.0 * found[ETA]
@@ -161,7 +161,7 @@ def fitted_force(
     return log, fitted, force
 
 
-def numerical_information(setting: Setting, hold_s: float, *, gain_sd: float) -> np.ndarray:
+def numerical_information(setting: Setting, hold_s: float, *, gain_sd: float, time_sd: float) -> np.ndarray:
     """Information by differences of the simulated force, and the inverse of its covariance matrix."""
     test, machine = Indentation(250.0, 2.0, hold_s), PRESETS["paper-a"]
     model, theta = PAPER_A.model, PAPER_A.theta[0]
@@ -173,6 +173,8 @@ def numerical_information(setting: Setting, hold_s: float, *, gain_sd: float) ->
     apart = np.abs(np.subtract.outer(np.arange(gain.size), np.arange(gain.size)))
     covariance = setting.noise_N**2 * setting.phi**apart
     covariance += gain_sd**2 * np.outer(gain, gain)
+    slower = z[:, model.time_places].sum(axis=1)
+    covariance += time_sd**2 * np.outer(slower, slower)
     covariance += machine.contact_sd_mm**2 * np.outer(offset, offset)
     return np.asarray(z.T @ np.linalg.solve(covariance, z))
 
@@ -183,7 +185,7 @@ def numerical_information(setting: Setting, hold_s: float, *, gain_sd: float) ->
     ids=["white", "ar1", "filter"],
 )
 def test_information_is_that_of_the_whole_covariance_matrix(setting):
-    chain = Chain(PRESETS["paper-a"], setting, 0.05, total=False)
+    chain = Chain(PRESETS["paper-a"], setting, 0.05, 0.03, total=False)
     # two holds in one pass, the second beyond the point from where its samples are all alike
     holds = [0.4, 1.2]
     found = information(PAPER_A.model, PAPER_A.theta[0], Indentation(250.0, 2.0), chain, holds)
@@ -191,7 +193,9 @@ def test_information_is_that_of_the_whole_covariance_matrix(setting):
     for one, hold in zip(found, holds, strict=True):
         # a single log does not tell a cubic and K apart well: the data of a weak prior stand beside it
         prior = np.diag(1.0 / np.array([1.0, 0.5, 0.1, 30.0, 1.0]) ** 2)
-        exact = relative_sd(numerical_information(setting, hold, gain_sd=0.05) + prior, gradient)[:, 0]
+        exact = relative_sd(
+            numerical_information(setting, hold, gain_sd=0.05, time_sd=0.03) + prior, gradient
+        )[:, 0]
         # the filter is followed on finer steps than the recording's, and not on the same
         assert relative_sd(one + prior, gradient)[:, 0] == pytest.approx(exact, rel=0.01)
 
@@ -204,7 +208,7 @@ def test_information_of_any_law_is_that_of_its_simulated_forces(name, tissue):
     _, _, force = fitted_force(model, test, machine, setting)
     z = np.column_stack(slopes(force, theta, model.shape_places))
 
-    found = information(model, theta, test, Chain(machine, setting, 0.0, total=False), [test.hold_s])[0]
+    found = information(model, theta, test, Chain(machine, setting, 0.0, 0.0, total=False), [test.hold_s])[0]
 
     exact, prior = z.T @ z / setting.noise_N**2, np.diag(4.0 / np.maximum(np.abs(theta), 0.1) ** 2)
     gradient = np.eye(theta.size)[:, None, :]
@@ -223,7 +227,9 @@ def test_a_long_hold_is_looked_at_ever_more_seldom_and_says_what_all_its_samples
         ChannelModel, "force", lambda self, of, path: sizes.append(path.time_s.size) or whole(self, of, path)
     )
 
-    found = information(TWO.model, theta, test, Chain(machine, setting, 0.0, total=False), [test.hold_s])[0]
+    found = information(
+        TWO.model, theta, test, Chain(machine, setting, 0.0, 0.0, total=False), [test.hold_s]
+    )[0]
 
     assert max(sizes) < 0.1 * z.shape[0]
     prior, gradient = np.diag(4.0 / np.maximum(np.abs(theta), 0.1) ** 2), np.eye(theta.size)[:, None, :]
@@ -251,7 +257,7 @@ def test_nuisances_of_the_instrument_act_as_in_a_recording():
         frame_stiffness_N_per_mm=2000.0,
         frame_stiffness_N_per_mm_sd=2000.0,
     )
-    chain = Chain(machine, setting, 0.0, total=True)
+    chain = Chain(machine, setting, 0.0, 0.0, total=True)
     model, theta = PAPER_A.model, PAPER_A.theta[0]
     centre = {name: value for name, (value, _) in NUISANCES.items()}
     found, exact = np.zeros((10, 10)), np.zeros((10, 10))

@@ -20,7 +20,7 @@ from tissueid.errors import UsageError
 pytestmark = pytest.mark.needs_jit
 
 MACHINE = replace(PRESETS["paper-a"], settings=(Setting(100.0, 1.0),))
-ASKED = asked_for({TAU: 0.08, ETA: 0.015}, MACHINE)
+ASKED = asked_for({TAU: 0.04, ETA: 0.01}, MACHINE)
 
 
 @cache
@@ -153,7 +153,7 @@ def test_where_none_can_the_nearest_and_its_limits_are_said():
 
 def test_an_unknown_instrument_sets_a_floor_that_no_time_passes():
     machine = replace(MACHINE, settings=(Setting(1000.0, 0.1),))
-    asked = asked_for({ETA: 0.004}, machine, total=True, gain_sd=0.0)
+    asked = asked_for({ETA: 0.004}, machine, total=True, gain_sd=0.0, time_sd=0.0)
     plan = planned(machine, PAPER_A, asked, silent)
     # force and displacement gain are known to 1 % each
     assert not plan.best.reached

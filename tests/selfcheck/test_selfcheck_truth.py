@@ -245,9 +245,11 @@ def log(time: np.ndarray = TIME, depth: np.ndarray = DEPTH) -> ProtocolLog:
     return ProtocolLog("hold", time, depth, 0.01)
 
 
-def force(*, gain: float = 1.0, offset_mm: float = 0.0, one: ProtocolLog | None = None, **defects: float):
+def force(
+    theta=HOLD_THETA, *, gain: float = 1.0, offset_mm: float = 0.0, one: ProtocolLog | None = None, **defects
+):
     return recorded_force(
-        HOLD_MODEL, HOLD_THETA, one or log(), gain=gain, offset_mm=offset_mm, calibration=defects
+        HOLD_MODEL, theta, one or log(), gain=gain, offset_mm=offset_mm, calibration=defects
     )
 
 
@@ -276,7 +278,9 @@ def test_there_is_no_force_in_air_and_none_of_an_approach():
 
 
 def test_trials_are_what_a_machine_exports():
-    truth = Truth(HOLD_THETA, np.array([1.0, 1.1]), np.array([0.0, 0.02]), 0.3, 0.0, 0.05)
+    truth = Truth(
+        HOLD_THETA, np.array([1.0, 1.1]), np.array([1.0, 1.5]), np.array([0.0, 0.02]), 0.3, 0.0, 0.05
+    )
     logs = (log(), ProtocolLog("later", TIME - 1.0, DEPTH - 4.0, 0.01))
     centre = Centre(HOLD_MODEL, HOLD_THETA, sigma_N=0.3)
     check = tissue_check(Protocol("two logs", logs, (SPEED, SPEED)), centre)
@@ -284,8 +288,11 @@ def test_trials_are_what_a_machine_exports():
     assert [trial.name for trial in trials] == ["hold", "later"]
     np.testing.assert_allclose(trials[1].time_s, TIME, atol=1e-12)
     np.testing.assert_array_equal(trials[1].displacement_mm, logs[1].depth_mm)
-    for trial, one, gain, offset in zip(trials, logs, truth.gain, truth.offset_mm, strict=True):
-        left = trial.force_N - force(one=one, gain=gain, offset_mm=offset)
+    for trial, one, gain, slower, offset in zip(
+        trials, logs, truth.gain, truth.slower, truth.offset_mm, strict=True
+    ):
+        own = np.where(np.arange(HOLD_THETA.size) == HOLD_MODEL.time_places, slower, 1.0) * HOLD_THETA
+        left = trial.force_N - force(own, one=one, gain=gain, offset_mm=offset)
         # standard error of an sd of 400 samples is 0.01
         assert left.std() == pytest.approx(0.3, abs=0.04)
     # and in air, of 100 samples

@@ -70,6 +70,9 @@ class _DesignFlags(OutputFlags):
         "Scatter of the force from log to log (standard deviation of the ln gain).",
         default=0.02, metavar="SD",
     )
+    time_sd: float = option(
+        "The same of the relaxation times, which a fit lets differ.", default=0.02, metavar="SD"
+    )
     interval: Literal["statistical", "total"] = option(
         "total counts what is unknown of gains, skew, filter and frame.", default="statistical"
     )
@@ -182,7 +185,8 @@ def _asked(flags: _DesignFlags, machine: Machine, tissues: Tissues) -> Asked:
     if len({want.name for want in wants}) < len(wants):
         refuse(f"--want names a number twice: {', '.join(flags.wants)}")
     for name, value in (
-        ("recovery", flags.recovery), ("setup", flags.setup), ("gain-sd", flags.gain_sd)
+        ("recovery", flags.recovery), ("setup", flags.setup),
+        ("gain-sd", flags.gain_sd), ("time-sd", flags.time_sd),
     ):  # fmt: skip
         if not 0.0 <= value < float("inf"):
             refuse(f"--{name} is {value}, must be 0 or above")
@@ -198,6 +202,7 @@ def _asked(flags: _DesignFlags, machine: Machine, tissues: Tissues) -> Asked:
         max_logs=flags.max_logs,
         assurance=flags.assurance,
         gain_sd=flags.gain_sd,
+        time_sd=flags.time_sd,
         total=flags.interval == "total",
     )
 

@@ -68,7 +68,7 @@ def remarks_on(best: Judged, machine: Machine, tissues: Tissues, asked: Asked) -
 #: Limits that were asked for.
 LIMITS = (
     "assurance", "max_depth_mm", "max_force_N", "budget_s", "recovery_s", "setup_s", "repeats", "max_logs",
-    "gain_sd",
+    "gain_sd", "time_sd",
 )  # fmt: skip
 
 

@@ -51,6 +51,8 @@ def _of_request(machine: Machine, asked: Asked) -> Iterator[_Change]:
     """Changes of what is allowed, and a calibration that is known exactly, one nuisance at a time."""
     if asked.gain_sd > 0.0:
         yield "gain", "logs without a scatter of their gain", {}, {}, {"gain_sd": 0.0}
+    if asked.time_sd > 0.0:
+        yield "times", "logs that relax alike", {}, {}, {"time_sd": 0.0}
     force, deep = TIMES * asked.max_force_N, 2.0 * asked.max_depth_mm
     yield "force", f"{force:.3g} N allowed", {}, {}, {"max_force_N": force}
     yield "depth", f"{deep:.3g} mm allowed", {}, {}, {"max_depth_mm": deep}

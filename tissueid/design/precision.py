@@ -117,6 +117,7 @@ class Chain:
     machine: Machine
     setting: Setting
     gain_sd: float  # standard deviation of the ln gain from log to log; 0 is none
+    time_sd: float  # the same of the ln of the relaxation times
     total: bool  # calibration nuisances are parameters as well
 
     @property
@@ -193,11 +194,14 @@ def _rows(
     # shapes by their logarithm
     own = model.jacobian(theta, path)
     own[:, model.shape_places] *= theta[model.shape_places]
-    offset = -_along(model, theta, path, force, np.ones(time.size))
-    columns = [low_pass(time, column, filter_s) for column in (*own.T, force, offset)]
-    if chain.total:
-        more = _calibration_columns(model, theta, path, force, filter_s)
-        columns = [*columns[:-2], *more, *columns[-2:]]
+    effects = (
+        force,
+        -_along(model, theta, path, force, np.ones(time.size)),
+        own[:, model.time_places].sum(axis=1),
+    )
+    more = _calibration_columns(model, theta, path, force, filter_s) if chain.total else []
+    tissue, logs = ([low_pass(time, column, filter_s) for column in some] for some in (own.T, effects))
+    columns = [*tissue, *more, *logs]
     return at, np.column_stack([np.interp(sampled, time, column) for column in columns]), reached
 
 
@@ -237,10 +241,10 @@ def information(
 
 
 def _without_effects(gram: FloatArray, chain: Chain) -> FloatArray:
-    """The last two columns, ln gain and contact offset, eliminated under their priors."""
-    sd = np.array([chain.gain_sd, chain.machine.contact_sd_mm])
-    effects = gram.shape[1] - 2 + np.flatnonzero(sd > 0.0)
-    kept = np.arange(gram.shape[1] - 2)
+    """The last columns, ln gain, contact offset and ln times of a log, eliminated under their priors."""
+    sd = np.array([chain.gain_sd, chain.machine.contact_sd_mm, chain.time_sd])
+    effects = gram.shape[1] - sd.size + np.flatnonzero(sd > 0.0)
+    kept = np.arange(gram.shape[1] - sd.size)
     inner = gram[:, effects[:, None], effects] + np.diag(1.0 / sd[sd > 0.0] ** 2)
     cross = gram[:, effects[:, None], kept]
     out = gram[:, kept[:, None], kept] - cross.transpose(0, 2, 1) @ np.linalg.solve(inner, cross)
@@ -294,6 +298,7 @@ class Asked:
     max_logs: int = 60  # most logs of a specimen
     assurance: float = 0.9  # share of the tissues for which a precision must be reached
     gain_sd: float = 0.02  # scatter of the gain from log to log
+    time_sd: float = 0.02  # and of its relaxation times
     total: bool = False  # calibration nuisances count
 
 
@@ -333,7 +338,7 @@ class Ledger:
     @property
     def chain(self) -> Chain:
         """Measuring chain as it is asked for."""
-        return Chain(self.machine, self.setting, self.asked.gain_sd, self.asked.total)
+        return Chain(self.machine, self.setting, self.asked.gain_sd, self.asked.time_sd, self.asked.total)
 
     def deepest(self, speed_mm_min: float) -> float:
         """Depth [mm] that a ramp may reach without passing the greatest force on any tissue."""

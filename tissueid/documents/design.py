@@ -83,6 +83,7 @@ class Asked(Document, frozen=True):
     repeats: PositiveCount
     max_logs: PositiveCount
     gain_sd: NonNegative
+    time_sd: NonNegative
     specimens: PositiveCount
 
 

@@ -25,6 +25,7 @@ from tissueid.segment import SegmentOptions
 from tissueid.selfcheck.protocol import Centre, Protocol
 from tissueid.selfcheck.records import DRAWS, Replicate
 from tissueid.selfcheck.truth import (
+    TIME_SD,
     ProtocolLog,
     Truth,
     Widths,
@@ -107,11 +108,13 @@ class TissueCheck:
         sigma = priors.sigma_N.median * float(np.exp(priors.sigma_N.sd_ln * rng.standard_normal()))
         phi = float(rng.uniform(*priors.phi)) if self.correlated else 0.0
         spread = abs(priors.gain_sd * float(rng.standard_normal())) if self.pooling != "shared" else 0.0
+        unlike = abs(TIME_SD * float(rng.standard_normal())) if self.pooling == "scaled" else 0.0
         known = priors.calibration if self.defects else {}
         drawn = {name: cut_normal(prior, rng) for name, prior in known.items()}
         return Truth(
             theta=theta,
             gain=np.exp(spread * rng.standard_normal(logs)),
+            slower=np.exp(unlike * rng.standard_normal(logs)) if unlike else np.ones(logs),
             offset_mm=np.array([log.contact_sd_mm for log in self.logs]) * rng.standard_normal(logs),
             sigma_N=sigma,
             phi=phi,
@@ -121,12 +124,14 @@ class TissueCheck:
 
     def trials(self, truth: Truth, rng: np.random.Generator) -> list[Trial]:
         """The recordings of a truth, noise and all, as a machine would export them."""
-        out = []
-        for log, gain, offset in zip(self.logs, truth.gain.tolist(), truth.offset_mm.tolist(), strict=True):
+        out, theta = [], truth.theta.copy()
+        own = (truth.gain.tolist(), truth.slower.tolist(), truth.offset_mm.tolist())
+        for log, gain, slower, offset in zip(self.logs, *own, strict=True):
+            theta[self.model.time_places] = slower * truth.theta[self.model.time_places]
             clean = recorded_force(
-                self.model, truth.theta, log, gain=gain, offset_mm=offset, calibration=truth.calibration
+                self.model, theta, log, gain=gain, offset_mm=offset, calibration=truth.calibration
             )
-            own = noise(
+            scatter = noise(
                 log.time_s,
                 sigma_N=truth.sigma_N,
                 phi=truth.phi,
@@ -136,7 +141,7 @@ class TissueCheck:
             )
             source = Source(path=log.name, recipe="simulated")
             time = log.time_s - log.time_s[0]
-            out.append(Trial("simulated", time, log.depth_mm, clean + own, source=source))
+            out.append(Trial("simulated", time, log.depth_mm, clean + scatter, source=source))
         return out
 
     def identified(self, trials: Sequence[Trial], *, seed: int) -> SpecimenFit:

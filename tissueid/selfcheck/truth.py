@@ -23,6 +23,9 @@ from tissueid.synth.simulate import Path, contact_path
 
 #: Depths, as fractions of the fitted one, at which the force is checked, from fastest to slowest speed.
 FORCE_DEPTHS = (0.25, 0.5, 1.0)
+#: Scale of the half-normal prior of the standard deviation of a log's ln relaxation times, which a fit of
+#: ``scaled`` logs lets differ.
+TIME_SD = 0.02
 #: Draws after which a prior counts as one without passive tissue.
 MOST_REJECTED = 100_000
 
@@ -48,6 +51,7 @@ class Truth:
 
     theta: FloatArray  # (p,), of the contact model; passive
     gain: FloatArray  # (logs,)
+    slower: FloatArray  # (logs,), relaxation times of each log over those of the tissue
     offset_mm: FloatArray  # (logs,), how much deeper each contact point is than the protocol has it
     #: ``phi`` is 0 for white noise, ``gain_sd`` where logs have no gains.
     sigma_N: float
@@ -242,6 +246,8 @@ def prior_words(priors: Priors, *, correlated: bool, pooling: str, defects: bool
         said["phi"] = f"uniform, {priors.phi[0]:.4g} to {priors.phi[1]:.4g}"
     if pooling != "shared":
         said["gain_sd"] = f"half-normal, scale {priors.gain_sd:.3g}"
+    if pooling == "scaled":
+        said["time_sd"] = f"half-normal, scale {TIME_SD:.3g}"
     if defects:
         for name, prior in priors.calibration.items():
             cut = f", not below {prior.lower:g}" if np.isfinite(prior.lower) else ""
