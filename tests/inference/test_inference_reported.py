@@ -23,7 +23,14 @@ from tissueid.inference.reported import (
     uncertainty_budget,
 )
 from tissueid.inference.system import MACHINE
-from tissueid.inference.verdict import discrepancy_flags, outside, specimen_flags, unsampled, withheld
+from tissueid.inference.verdict import (
+    discrepancy_flags,
+    outside,
+    reaching,
+    specimen_flags,
+    unsampled,
+    withheld,
+)
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.result import Estimate, SpecimenFit
 from tissueid.uncertainty import ParameterUncertainty
@@ -181,6 +188,24 @@ def test_a_value_outside_an_interval_of_its_is_named() -> None:
     name = next(iter(found))
     assert outside(parameters, found | {name: replace(found[name], ci95_total=None)}) == (name,)
     assert outside(parameters, uncertainties(draws(OPTIMUM, rng), wider=None)) == ()
+
+
+@pytest.mark.parametrize(
+    ("prediction", "reaches"), [((1.5, 3.0), False), ((2.01, 2.1), False), ((3.0, 4.32), True), (None, False)]
+)
+def test_an_interval_reaches_to_logs_fitted_alone_where_they_have_it_elsewhere(prediction, reaches) -> None:
+    name, found = "static_1_N_per_mm", uncertainties(draws(OPTIMUM, np.random.default_rng(1)))
+    found[name] = replace(found[name], prediction95=prediction)
+    values = {one.name: one.value for one in tissue().parameters}
+    out, flags = reaching(values, dict.fromkeys(values, "a"), found)
+    assert {key for key in out if out[key] != found[key]} == ({name} if reaches else set())
+    if reaches:
+        own = out[name]
+        assert own.ci95 == pytest.approx((found[name].ci95[0], 3.6))
+        assert own.ci95_total == pytest.approx((found[name].ci95_total[0], 3.6))
+        assert own.sd == pytest.approx((3.6 - own.ci95[0]) / 4.0)
+    words = [f"logs fitted alone have 1 of {len(found)} elsewhere: a {OPTIMUM[0]:.3g}, alone 3.6"]
+    assert [(one.code, one.message) for one in flags] == ([("logs_apart", words[0])] if reaches else [])
 
 
 def test_a_fit_without_draws_keeps_its_values_and_identifies_none() -> None:

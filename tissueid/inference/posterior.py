@@ -37,7 +37,7 @@ from tissueid.inference.sampling import Sampled, sample
 from tissueid.inference.specimen import FittedSpecimen
 from tissueid.inference.system import MACHINE, Point
 from tissueid.inference.target import NormalTarget, SpecimenTarget, Target
-from tissueid.inference.verdict import outside, posterior_flags, unidentified, withheld
+from tissueid.inference.verdict import outside, posterior_flags, reaching, unidentified, withheld
 from tissueid.model.base import scaled_theta
 from tissueid.model.channels import ChannelModel
 from tissueid.priors import Priors
@@ -281,7 +281,7 @@ def _uncertainties(
 
 def _with_medians(
     parameters: tuple[Estimate, ...],
-    draws: Mapping[str, FloatArray],
+    medians: Mapping[str, float],
     found: Mapping[str, ParameterUncertainty],
 ) -> tuple[Estimate, ...]:
     """Values are medians of the draws; what is identified is judged by their intervals.
@@ -292,7 +292,7 @@ def _with_medians(
     out: list[Estimate] = []
     times: dict[str, bool] = {}
     for one in parameters:
-        value, own = float(np.median(draws[one.name])), found[one.name]
+        value, own = medians[one.name], found[one.name]
         low, high = own.ci95 if own.ci95_total is None else own.ci95_total
         width = float(np.log(high / low)) if low > 0.0 else float("inf")
         if one.name.startswith(TIME):
@@ -320,11 +320,12 @@ def _assembled(
     names = [one.name for one in fit.parameters]
     walkers, steps = sampled.chain.shape[:2]
     found = _uncertainties(names, statistical, total, draws.vectors[:, target.cut_places], (walkers, steps))
-    parameters = _with_medians(fit.parameters, statistical, found)
     later = next_indentation(fitted.identified)
     found = {name: replace(one, prediction95=later.get(name)) for name, one in found.items()}
-    why = "the value lies outside it, or that of logs fitted alone does"
-    parameters, said = withheld(parameters, outside(parameters, found), why)
+    medians = {name: float(np.median(statistical[name])) for name in names}
+    found, apart = reaching(medians, {one.name: one.symbol for one in fit.parameters}, found)
+    parameters = _with_medians(fit.parameters, medians, found)
+    parameters, said = withheld(parameters, outside(parameters, found), "the value lies outside it")
     parameters = tuple(replace(one, uncertainty=found.get(one.name)) for one in parameters)
     detail = {"density": "generalised" if fitted.identified.discrepant else "exact", **sampled.detail}
     detail["total"] = {"converged": True, "worth": sampled.detail["effective_draws"]}
@@ -348,7 +349,7 @@ def _assembled(
     )
     kept = [flag for flag in fit.flags if flag.code != "not_identified"]
     spread = np.cov(draws.total if instrument else draws.statistical, rowvar=False)
-    flags = (*said, *unidentified(parameters), *kept, *posterior_flags(posterior))
+    flags = (*said, *apart, *unidentified(parameters), *kept, *posterior_flags(posterior))
     told = replace(fit, parameters=parameters, posterior=posterior, flags=flags)
     return fitted.quoting(told, replace(fitted.tissue, covariance=np.atleast_2d(spread)))
 

@@ -167,24 +167,40 @@ def _inside(value: float, interval: tuple[float, float] | None) -> bool:
     return interval is not None and interval[0] <= value <= interval[1]
 
 
-def _apart(value: float, own: ParameterUncertainty) -> bool:
-    """Logs fitted alone have it elsewhere: neither lies within the interval of the other."""
-    if own.prediction95 is None:
-        return False
-    middle = float(np.sqrt(np.prod(own.prediction95)))
-    return not (_inside(value, own.prediction95) or _inside(middle, own.ci95_total or own.ci95))
+def _reached(own: ParameterUncertainty, middle: float) -> ParameterUncertainty:
+    """Uncertainty whose intervals reach to a value."""
+    low, high = (function([*own.ci95, middle]) for function in (min, max))
+    wide = None if own.ci95_total is None else (min(own.ci95_total[0], low), max(own.ci95_total[1], high))
+    return replace(own, sd=max(own.sd, (high - low) / 4.0), ci95=(low, high), ci95_total=wide)
+
+
+def reaching(
+    values: Mapping[str, float], symbols: Mapping[str, str], found: Mapping[str, ParameterUncertainty]
+) -> tuple[dict[str, ParameterUncertainty], tuple[Flag, ...]]:
+    """Intervals that reach to logs fitted alone where neither lies within the interval of the other."""
+    out, middles = dict(found), {}
+    for name, own in found.items():
+        middle = None if own.prediction95 is None else float(np.sqrt(np.prod(own.prediction95)))
+        if middle is None or _inside(values[name], own.prediction95):
+            continue
+        if not _inside(middle, own.ci95_total or own.ci95):
+            out[name], middles[name] = _reached(own, middle), middle
+    if not middles:
+        return out, ()
+    pairs = (f"{symbols[name]} {values[name]:.3g}, alone {middle:.3g}" for name, middle in middles.items())
+    words = f"logs fitted alone have {len(middles)} of {len(found)} elsewhere: {'; '.join(pairs)}"
+    return out, (Flag("logs_apart", words, {"alone": middles}),)
 
 
 def outside(parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncertainty]) -> tuple[str, ...]:
-    """Identified parameters whose value lies outside an interval of theirs, or whose intervals part."""
+    """Identified parameters whose value lies outside an interval of theirs."""
     totals = any(one.ci95_total is not None for one in found.values())
     out = []
     for one in parameters:
         if one.value is None or one.name not in found:
             continue
         own, value = found[one.name], one.value
-        held = _inside(value, own.ci95) and (not totals or _inside(value, own.ci95_total))
-        if not held or _apart(value, own):
+        if not (_inside(value, own.ci95) and (not totals or _inside(value, own.ci95_total))):
             out.append(one.name)
     return tuple(out)
 
