@@ -112,5 +112,23 @@ def repeated_sites(trials: Sequence[TrialFit], rows: Sequence[Mapping[str, Any]]
     return [Flag("repeated_site", f"{said}; {rest}", values)]
 
 
+def copies(trials: Sequence[TrialFit], inputs: Sequence[Mapping[str, Any]]) -> list[Flag]:
+    """``copied_recording`` where files of the specimen are the same to the byte."""
+    bytes_of = {(row["path"], row["sheet"]): row["sha256"] for row in inputs}
+    first: dict[tuple[str, str | None], TrialFit] = {}
+    pairs = []
+    for trial in trials:
+        content = bytes_of.get((trial.path, trial.sheet), "")
+        original = first.setdefault((content, trial.sheet), trial)
+        if content and original is not trial:
+            pairs.append((_name(trial), _name(original)))
+    if not pairs:
+        return []
+    said = f"{len(pairs)} of {len(trials)} recordings are copies ({pairs[0][0]} of {pairs[0][1]})"
+    message = f"{said}: what is counted twice narrows intervals, and tells nothing"
+    again, of = zip(*pairs, strict=True)
+    return [Flag("copied_recording", message, {"copies": list(again), "of": list(of)})]
+
+
 def _name(trial: TrialFit) -> str:
     return trial.path if trial.sheet is None else f"{trial.path} [{trial.sheet}]"

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.between_logs import order_effect, repeated_sites, spread_flags
+from tissueid.between_logs import copies, order_effect, repeated_sites, spread_flags
 from tissueid.decided import arithmetic_refusal, as_decided, decided_trial
 from tissueid.documents import members, plain
 from tissueid.documents.identification import Calibration, Frame, StatedSpecimen, StatedTrial
@@ -307,6 +307,7 @@ def study_flags(fit: SpecimenFit, collected: Collected, study: Study | None) -> 
         *spread_flags(fit.trials),
         *order_effect(fit.trials, [row.get("run") for row in rows]),
         *repeated_sites(fit.trials, rows),
+        *copies(fit.trials, collected.inputs),
     ]
     return replace(fit, flags=tuple(flags))
 

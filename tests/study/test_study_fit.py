@@ -13,7 +13,7 @@ from command_line import QUICK, log_text, read_json, run, write_csv, write_log, 
 from fit_factory import specimen_fit
 from study_folder import fit, lab, specimen, value
 
-from tissueid.between_logs import order_effect, repeated_sites, spread_flags
+from tissueid.between_logs import copies, order_effect, repeated_sites, spread_flags
 from tissueid.result import TrialFit
 from tissueid.store.schema import first_problem
 
@@ -328,3 +328,18 @@ def test_a_site_that_was_tested_twice_is_named_with_its_rest(rows, sites, rest):
     assert flag.values["sites"] == sites
     assert flag.values["times"] == [2]
     assert flag.values.get("shortest_rest_s") == rest
+
+
+@pytest.mark.parametrize(
+    ("hashes", "again"), [("abc", []), ("aba", ["run_3.csv"]), ("aaa", ["run_2.csv", "run_3.csv"])]
+)
+def test_copies_of_a_recording_are_told(hashes, again):
+    trials = logs([1.0] * 3)
+    rows = [
+        {"path": one.path, "sheet": one.sheet, "sha256": h} for one, h in zip(trials, hashes, strict=True)
+    ]
+    flags = copies(trials, rows)
+    assert [one.values["copies"] for one in flags] == ([again] if again else [])
+    assert all(
+        f"{len(again)} of 3 recordings are copies ({again[0]} of run_1.csv)" in one.message for one in flags
+    )
