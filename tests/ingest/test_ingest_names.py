@@ -91,6 +91,9 @@ from tissueid.units import INTERNAL_UNITS, KNOWN_UNITS, KNOWN_WORDS, REPEATS, fa
         ("Idő (s),Elmozdulás (mm),Erő (N)", (1, 1)),
         ("Tid (s),Vandring (mm),Kraft (N)", (1, 1)),
         ("Čas (s),Dráha (mm),Síla (N)", (1, 1)),
+        ("Messzeit Kanal 1 [s],Wegaufnehmer WA20 [mm],Kraft U10M [N]", (1, 1)),
+        ("Zeit [s],Wegsensor 2 Stempel [um],Kraftsensor 1 [mN]", (1e-3, 1e-3)),
+        ("Temps (s),Course vérin 1 (mm),Effort capteur (kN)", (1, 1e3)),
     ],
 )
 def test_names_with_glued_units_of_french_crossheads_eight_more_languages_and_loggers_are_read(
@@ -130,6 +133,19 @@ def test_an_indenters_export_of_micrometres_and_micronewtons_is_read(tmp_path: P
     assert trial.source.columns == {"time": "Time (s)", "displacement": "Pd (µm)", "force": "Fn (µN)"}
     assert trial.displacement_mm[2] == pytest.approx(0.101)
     assert trial.force_N[2] == pytest.approx(1.5005e-3)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "ElapsedTime,AxialDisplacement,AxialForce",
+        "testTime,crossheadPosition,loadCell",
+        "TimeStamp,PositionZ,ForceZ",
+        "Time,z_pos,fz",
+    ],
+)
+def test_names_that_run_words_together_are_those_words(tmp_path: Path, head: str) -> None:
+    assert set(codes(read(written(tmp_path / "a.csv", head)))) == {"units_assumed"}
 
 
 @pytest.mark.parametrize("head", ["t,x,F", "t,delta,P", "t,h,P"])

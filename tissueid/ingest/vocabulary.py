@@ -74,14 +74,14 @@ _NAMES: dict[Channel, dict[int, str]] = {
             r"(?:absolute )?(?:crosshead|traverse|traversen)(?: absolute?| absolut| position)?"
             r"|traverse absolue|position (?:de (?:la )?|du )?(?:traverse|verin)"
             r"|traversen(?:position|weg absolut)|pos(?:ition)?(?: absolue| z)?|posicion|posizione|pozycja"
-            r"|stroke|actuator|height(?: measured| sensor)?|z(?: position)?|hoehe|hohe|hauteur|位置"
+            r"|stroke|actuator|height(?: measured| sensor)?|z(?: pos(?:ition)?)?|hoehe|hohe|hauteur|位置"
         ),
         4: (  # what is left between the tools
             r"ecartement entre (?:outils|mors)|(?:tool|grip)(?: to (?:tool|grip))? separation"
             r"|werkzeugabstand|einspannlange|(?:(?:un)?corrected |axial |measured )?gap"
         ),
         5: (  # another sensor
-            r"capteur de course|extensometer|extensometre|dehnung|wegaufnehmer|deflection"
+            r"capteur de course|extensometer|extensometre|dehnung|weg ?(?:aufnehmer|sensor|geber)|deflection"
             r"|durchbiegung|strain 1|lvdt|displacement strain 1"
         ),
     },
@@ -100,7 +100,8 @@ _NAMES: dict[Channel, dict[int, str]] = {
             rf"{_SENSE} ?(?:load|force|kraft|last)(?: measurement)?"
             rf"|(?:charge|force|fuerza|carga|forca|forza|carico){_SENSE_AFTER}|压缩载荷|压缩力"
         ),
-        2: r"capteur de force|kraftaufnehmer|load channel|force channel",  # another channel
+        # another channel
+        2: r"capteur de force|kraft ?(?:aufnehmer|sensor|messdose)|load channel|force channel",
     },
 }
 _CHANNEL_NUMBER = re.compile(r"(.*?) ?([1-9])")
@@ -122,20 +123,16 @@ _LOOSE_SYMBOLS = {
     "displacement": re.compile("(?:(?:d|δ ?|delta ?)?[xzduhls]|δ|delta)[1-9]?"),
     "force": re.compile("[fp][1-9]?|f n"),
 }
-_LOOSE_WORDS = {
-    "time": re.compile(r"\b(?:time|timestamp|zeit|temps|tiempo|tempo|czas|час|ido)\b|时间"),
-    "displacement": re.compile(
-        r"\b(?:displacement|extension|indentation|depth|travel|pos(?:ition)?|height|displ?|distance|weg|deplacement"
-        r"|stroke|actuator|crosshead|piston|p[xyz]|(?<=\w )[xy]|z"
-        # strain in other languages, and letters of an indenter: with a unit of length alone
-        r"|desplazamiento|spostamento|przemieszczenie|deformation|deformazione|deformacion|deformacao"
-        r"|compression|deformace|деформация|pd)\b|位移|^ext$"
+#: Words that will do with a unit that agrees, and what will without a space; so will any name of these two.
+_LOOSE_WORDS: dict[Channel, tuple[str, str]] = {
+    "time": (r"time|timestamp|\w*zeit|temps|tiempo|tempo|czas|час|ido", "时间"),
+    # strain in other languages, and letters of an indenter: with a unit of length alone
+    "displacement": (
+        r"piston|p[xyz]|(?<=\w )[xy]|pd|deformation|deforma(?:zione|cion|cao|ce)|compression|деформация",
+        "位移|^ext$",
     ),
-    "force": re.compile(
-        r"\b(?:force|load|kraft|last|charge|fuerza|carga|forza|carico|sila|f[nz]"
-        # what a scale shows, with a unit of force or weight alone
-        r"|weight|mass|gewicht|masse|poids|peso|ero)\b|载荷|压力"
-    ),
+    # what a scale shows, with a unit of force or weight alone
+    "force": (r"fn|weight|mass|gewicht|masse|poids|peso|ero", "载荷|压力"),
 }
 #: Where a word begins by its capital alone: ``ProbePos``, ``XForce``.
 _CAPITALS = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
@@ -204,20 +201,24 @@ def _unaccented(text: str) -> str:
 # as names are compared: Hangul in its letters, kana without their marks
 for _ranks in _NAMES.values():
     _ranks.update({rank: _unaccented(pattern) for rank, pattern in _ranks.items()})
+_LOOSE: dict[Channel, re.Pattern[str]] = {}
+for _channel, (_words, _more) in _LOOSE_WORDS.items():
+    _names = () if _channel == "time" else _NAMES[_channel].values()  # prose has "us" and "sure"
+    _LOOSE[_channel] = re.compile(rf"\b(?:{'|'.join((_words, *_names))})\b|{_more}")
 
 
 @cache
 def rank_of(name: str, channel: Channel, *, loose: bool) -> int | None:
     """Rank of a printed name, without its unit, for a channel; ``loose``: a word inside it is enough."""
-    words = plain_words(name)
-    numbered = _CHANNEL_NUMBER.fullmatch(words)
-    for rank, pattern in _NAMES[channel].items():
-        if re.fullmatch(pattern, words):
-            return rank
-        if numbered and re.fullmatch(pattern, numbered[1]):
-            return rank + _CHANNEL_PENALTY * (numbered[2] != "1")
-    apart = plain_words(_CAPITALS.sub(" ", name)) if loose else ""
-    if _LOOSE_WORDS[channel].search(apart) and not _NOT_A_CHANNEL.search(apart):
+    words, apart = plain_words(name), plain_words(_CAPITALS.sub(" ", name))
+    for one in dict.fromkeys((words, apart)):
+        numbered = _CHANNEL_NUMBER.fullmatch(one)
+        for rank, pattern in _NAMES[channel].items():
+            if re.fullmatch(pattern, one):
+                return rank
+            if numbered and re.fullmatch(pattern, numbered[1]):
+                return rank + _CHANNEL_PENALTY * (numbered[2] != "1")
+    if loose and _LOOSE[channel].search(apart) and not _NOT_A_CHANNEL.search(apart):
         return SIDEWAYS_RANK if _SIDEWAYS.search(apart) and channel != "time" else _LOOSE_RANK
     letter = name.strip()
     if letter in _SYMBOLS[channel] or (loose and _LOOSE_SYMBOLS[channel].fullmatch(words)):
