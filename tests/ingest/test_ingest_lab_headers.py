@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from ingest_files import codes, put, read, refusal
 
+from tissueid.ingest import ReadOptions
 from tissueid.segment import segment
 from tissueid.signal_noise import bridged, dropouts
 from tissueid.trial import Trial
@@ -190,6 +191,30 @@ def test_units_of_the_header_are_those_of_columns_that_state_none(tmp_path: Path
     trial = read(put(tmp_path / "a.txt", f"{head}\nTime\tDisp\tForce\n{TIMED}"))
     assert trial.displacement_mm[1] == pytest.approx(0.02)
     assert trial.force_N[1] == pytest.approx(0.5 * 9.80665e-3)
+
+
+def test_a_lone_unit_of_a_header_is_that_of_the_force_but_no_length(tmp_path: Path) -> None:
+    """A length may be that of the specimen."""
+    table = f"Time\tTravel\tLoad\n{TIMED}"
+    gauge = read(put(tmp_path / "a.txt", f"Units: gF\nReadings: All\nTravel Unit: um\n{table}"))
+    assert (gauge.displacement_mm[1], gauge.force_N[1]) == pytest.approx((0.02, 0.5 * 9.80665e-3))
+    assert codes(gauge).count("units_assumed") == 1
+    ruler = read(put(tmp_path / "a.txt", f"Units: in\n{table}"))
+    assert (ruler.displacement_mm[1], codes(ruler).count("units_assumed")) == (20.0, 3)
+
+
+@pytest.mark.parametrize(
+    "line", ["Counts per Unit Force:,1000000", "# counts/N: 1000000", "Bits per newton = 64"]
+)
+def test_counts_of_a_sensor_are_no_newtons(tmp_path: Path, line: str) -> None:
+    """The header says their unit as well, which is that of the force they are divided into."""
+    head = f"Force Units:,N\n{line}\nTime (s),Position (mm),Fz\n"
+    rows = [f"{0.1 * k:.1f},{0.02 * k:.2f},{{}}\n" for k in range(40)]
+    counted = put(tmp_path / "a.csv", head + "".join(row.format(-5000 * k) for k, row in enumerate(rows)))
+    assert (refusal(counted).code, refusal(counted).line) == ("wrong_unit", 2)
+    assert read(counted, ReadOptions(units={"force": "uN"})).force_N[2] == pytest.approx(-0.01)
+    divided = put(tmp_path / "b.csv", head + "".join(row.format(0.5 * k) for k, row in enumerate(rows)))
+    assert read(divided).force_N[2] == 1.0
 
 
 def test_a_unit_of_the_header_that_contradicts_the_name_is_refused(tmp_path: Path) -> None:

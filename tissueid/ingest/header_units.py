@@ -23,7 +23,7 @@ _OF_ONE = (
 _QUOTED = re.compile(rf'"(\w{{1,40}}?)_?{UNIT_WORD}"\s*:\s*"([^"]{{1,12}})"', re.IGNORECASE)
 #: Units of several columns: ``Units: s, um, gf``, ``Unit system: SI (s, mm, N)``.
 _OF_ALL = re.compile(
-    rf"(?:display |data )?{UNIT_WORD}(?:(?:\s?[:=,]\s?|\s)([^()]{{3,80}})|[^()]{{1,60}}\(([^()]{{3,80}})\))",
+    rf"(?:display |data )?{UNIT_WORD}(?:(?:\s?[:=,]\s?|\s)([^()]{{1,80}})|[^()]{{1,60}}\(([^()]{{3,80}})\))",
     re.IGNORECASE,
 )
 #: Words by which a header calls the displacement where it states a unit, accents stripped.
@@ -60,9 +60,11 @@ def _calls(key: str, channel: Channel) -> bool:
 
 
 def _listed(line: str) -> list[str]:
-    """Units of a line that lists those of several columns; none of another line."""
+    """Units of a line that lists those of several columns, or of the force alone; none of another line."""
     match = _OF_ALL.fullmatch(line)
     parts = re.split(r"[\s,;|]+", (match[1] or match[2]).strip()) if match else []
     if len(parts) == 1 and parts[0].count("/") > 1:
         parts = parts[0].split("/")
-    return parts if len(parts) > 1 and all(isinstance(quantity_of(one), str) for one in parts) else []
+    kinds = [quantity_of(one) for one in parts]
+    # a length alone may be that of a specimen
+    return parts if (len(parts) > 1 or kinds == ["force"]) and all(kinds) else []

@@ -63,7 +63,10 @@ def is_statistics(row: Cells) -> bool:
     # nearly all rows are samples, and done with here
     if not opening or looks_numeric(opening):
         return False
-    return len(_filled(row)) > 1 and _STATISTICS.fullmatch(plain_words(opening.strip())) is not None
+    filled, word = _filled(row), plain_words(opening.strip())
+    if word in {"min", "max"}:  # over columns a minute
+        return looks_numeric(filled[-1])
+    return len(filled) > 1 and _STATISTICS.fullmatch(word) is not None
 
 
 def is_title(row: Cells) -> bool:
@@ -386,6 +389,10 @@ def _anchor_without_words(rows: Sequence[Row], best: int, above: Sequence[int]) 
 
 #: Line that says in what a data logger wrote: Aurora's ``Test Data in Volts:``.
 _IN_VOLTS = re.compile(r"\W*(?:test |raw )?data in (?:volts|V)\b", re.IGNORECASE)
+#: Line of a force that may be in whole numbers of counts: ``Counts per Unit Force:,1000000``.
+_IN_COUNTS = re.compile(
+    r"\W*(?:counts?|bits) ?(?:per|/) ?(?:unit )?(?:of )?(?:force|m?N\b|newton)", re.IGNORECASE
+)
 
 
 def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
@@ -420,6 +427,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     if not sample:
         message = "under the names stand results or another table, but no row of numbers; export the raw data"
         place.refuse("no_rows", message, line=found.first + 1)
+    _refuse_counts(lines, sample, channel_columns(names, options).get("force"), options, place)
     n_columns = Counter(map(len, sample)).most_common(1)[0][0]
     if any(text.names):
         names = tuple(one or own for one, own in zip_longest(names, text.names, fillvalue=""))
@@ -460,6 +468,18 @@ def _refuse_volts(lines: Sequence[str], place: Place) -> None:
             f"{lines[volts].strip()!r}: volts are no travel and no force; export them in calibrated units"
         )
         place.refuse("wrong_unit", message, line=volts + 1)
+
+
+def _refuse_counts(
+    lines: Sequence[str], sample: Sequence[Row], force: int | None, options: ReadOptions, place: Place
+) -> None:
+    """Refuse a force in whole numbers under a line that says how many counts are a unit of it."""
+    counts = next((k for k, line in enumerate(lines[:_HEAD_LINES]) if _IN_COUNTS.match(line)), None)
+    if counts is None or force is None or "force" in options.units:
+        return
+    if all(cell.strip().lstrip("+-").isdigit() for row in sample for cell in row[force : force + 1]):
+        message = f"{lines[counts].strip()!r}: the force is in counts; divide it by them, or state their unit"
+        place.refuse("wrong_unit", f"{message} with --units force=UNIT", line=counts + 1, column=force + 1)
 
 
 def _refuse_rows_above(rows: Sequence[Row], found: Anchor, place: Place) -> None:
@@ -519,6 +539,9 @@ def _find_delimiter(lines: Sequence[str]) -> str:
 
 
 def _no_numbers(rows: Sequence[Row], delimiter: str, options: ReadOptions, place: Place) -> Exception:
+    if 2 * sum(len(filled) == 1 and looks_numeric(filled[0]) for filled in map(_filled, rows)) > len(rows):
+        message = "there is one number a line, and a recording is force over displacement: export both"
+        return place.refusal("not_an_export", message, line=1)
     for index, row in enumerate(rows):
         if max(map(len, row)) <= _LONGEST_NAME and has_channels(row, (), options):
             message = "there is no row of numbers under the names; export the raw data again"
