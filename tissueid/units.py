@@ -71,6 +71,8 @@ KNOWN_UNITS: Mapping[str, tuple[Quantity, float]] = {
 KNOWN_WORDS = frozenset(
     {"Time", "Extension", "Load", "Displacement", "Force", "Position", "Depth", "Strain", "Stress"}
 )
+#: What motors and converters count: of no dimension, and no strain.
+_COUNTS = frozenset({"step", "steps", "tick", "ticks", "count", "counts", "bit", "bits", "adc", "pulses"})
 #: Letters that number repeats ("Load-a"), though they may be years, bits or days.
 REPEATS = frozenset("abcde")
 #: Brackets as East Asian keyboards write them, and others around units.
@@ -150,6 +152,8 @@ def quantity_of(unit_text: str) -> Quantity | Literal["other"] | None:
             return quantity
     if unit in KNOWN_UNITS:
         return KNOWN_UNITS[unit][0]
+    if unit.casefold() in _COUNTS:
+        return "other"
     parsed = None if unit in KNOWN_WORDS or unit in REPEATS else _parsed(unit)
     if parsed is None:
         return None

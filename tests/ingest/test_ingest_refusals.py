@@ -155,6 +155,34 @@ def test_recipe_says_why_and_can_be_forced(tmp_path):
         list(read_each(path, ReadOptions(recipe="nonsense")))
 
 
+ROW = "0.{},0.0{},1.{},2.{}\n"
+RESULTS = 'Test\nSample,"Modulus (MPa)","Yield (N)","Peak (N)","Note"\n1,5.1,2.2,3.3,"A 1"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "says"),
+    [
+        # a force is no displacement, whatever its number is
+        (
+            "Force_X,Force_Y,Force_Z,Torque_X\n" + ROW,
+            {"columns": {"time": "9Hz"}},
+            "time=9Hz,displacement=NAME",
+        ),
+        ("Time (s),XDisp (um),YDisp (um),Load (N)\n" + ROW, {}, "may be 'XDisp (um)' or 'YDisp (um)'"),
+        ("time_s,position_steps,force_N,c\n" + ROW, {}, "export it as mm, calibrated"),
+        ("0.{}\n", {}, "one number a line"),
+        (RESULTS + "Mean,5.1,2.2,3.3\nMin,5.1,2.2,3.3\nMax,5.1,2.2,3.3\n", {}, "are results, not samples"),
+    ],
+)
+def test_the_way_out_of_a_refusal_is_one(tmp_path, text, options, says):
+    head, row = (
+        text[: -len(ROW)] if text.endswith(ROW) else "",
+        text[-len(ROW) :] if text.endswith(ROW) else text,
+    )
+    rows = "".join(row.format(*[k] * 4) for k in range(10, 60)) if "{}" in row else text
+    assert says in refusal(put(tmp_path / "a.csv", head + rows), ReadOptions(**options)).message
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

@@ -63,7 +63,7 @@ _UNIT_LIKE = re.compile(
     r"|[\"'″′#?]{1,2}"
 )
 #: What ends a name as a unit does, and is none of a channel, or in small letters one of several.
-_GLUED_UNIT = re.compile(r"[mµu]?V|[Vv]olts?|[Ss]teps|[Tt]icks|bits|adc|ADC|[mup]n")
+_GLUED_UNIT = re.compile(r"[mµu]?V|[Vv]olts?|[Ss]teps|[Tt]icks|[Cc]ounts|bits|adc|ADC|[mup]n")
 #: Names of whole seconds, and of their part below one, behind the same words: ``header stamp nsecs``.
 _WHOLE_SECONDS = re.compile(r"((?:.* )?)(?:s|secs?|seconds?|sekunden?|secondes?|segundos?|secondi)")
 _BELOW_SECOND = re.compile(
@@ -81,6 +81,8 @@ _NORMALISED: Mapping[Quantity, re.Pattern[str]] = {
 #: Words of strain that need no unit to be taken as one, and words of what is none of the kind.
 _STRAIN_WITHOUT_UNIT = re.compile(r"stretch|strain|lambda|dehnung|应变")
 _NO_SERIES = re.compile(r"\b(?:rate|max|maximum|min|minimum|peak|yield|mean|modulus|at|sd|error)\b")
+#: Ranks of a letter and of a sideways axis.
+_DOUBTFUL = {SYMBOL_RANK, SIDEWAYS_RANK}
 _WAY_OUT = "name it with --columns time=NAME,displacement=NAME,force=NAME (or #2 for the second column)"
 
 
@@ -297,7 +299,7 @@ class _Head:
         indented = bases & _DEPTHS and "T" not in bases
         found = usual or [one for one in found if indented or one[1].base != "P"]
         # of two letters, or two sideways axes, either may be meant
-        doubtful = [rank in {SYMBOL_RANK, SIDEWAYS_RANK} for rank, _ in found]
+        doubtful = [rank in _DOUBTFUL for rank, _ in found]
         return [] if sum(doubtful) > 1 and doubtful[0] else found
 
     def ruled_out(self, channel: Channel, found: Sequence[tuple[int, _Column]]) -> list[str]:
@@ -487,9 +489,20 @@ def _none_found(head: _Head, channel: Channel, place: Place, line: int | None) -
                 f" there is no other; {_WAY_OUT}, or {_state(column, channel, INTERNAL_UNITS[wanted])}"
             )
             return place.refusal("wrong_unit", message, line=line, column=column.index + 1)
-    return place.refusal(
-        "no_columns", f"no column is the {channel}; {head.seen()}; {_way_out(head, channel)}", line=line
+    either = [one.name for one in head.columns if _may_be_either(head, one, channel)]
+    none = (
+        f"the {channel} may be {either[0]!r} or {either[1]!r}"
+        if either[1:]
+        else f"no column is the {channel}"
     )
+    message = f"{none}; {head.seen()}; {_way_out(head, channel)}"
+    return place.refusal("no_columns", message, line=line)
+
+
+def _may_be_either(head: _Head, column: _Column, channel: Channel) -> bool:
+    """True of a letter or a sideways axis, which are none where there are two."""
+    measured, wanted = quantity_of(column.unit or ""), head.options.quantity(channel)
+    return measured in (None, wanted) and head.rank(column, channel, loose=measured == wanted) in _DOUBTFUL
 
 
 def _way_out(head: _Head, channel: Channel) -> str:
@@ -503,14 +516,15 @@ def _way_out(head: _Head, channel: Channel) -> str:
     if not found and len(results) > 1:
         return f"{results[0].name!r} and {results[1].name!r} are results, not samples: export the raw data"
     rate = head.options.columns["time"] if _asked(head, "time") else None
-    if count < len(CHANNELS) or rate:
+    if count < len(CHANNELS) or (rate and not named):
         numbers = "" if len(found) == len(CHANNELS) - 1 else ",displacement=#1,force=#2"
         lost = "relaxation can't be timed without it: export it as well, or state the rate"
         do = lost if channel == "time" else "name them by their numbers"
         return f"{do}, as in --columns time={rate or '100Hz'}{numbers}"
     if not named:
         return "name them by their numbers, as in --columns time=#1,displacement=#2,force=#3"
-    return f"{_WAY_OUT}, or {'state the rate by time=100Hz' if channel == 'time' else 'export it as well'}"
+    way_out = _WAY_OUT.replace("NAME", rate or "NAME", 1)
+    return f"{way_out}, or {'state the rate by time=100Hz' if channel == 'time' else 'export it as well'}"
 
 
 def _state(column: _Column, channel: Channel, likely: str) -> str:
