@@ -148,6 +148,14 @@ def test_names_that_run_words_together_are_those_words(tmp_path: Path, head: str
     assert set(codes(read(written(tmp_path / "a.csv", head)))) == {"units_assumed"}
 
 
+def test_a_length_of_any_name_is_named_beside_the_deflection_that_was_taken(tmp_path: Path) -> None:
+    """A cantilever bends by less than its base travels."""
+    rows = "".join(f"{0.1 * k:.1f},{5 * k},{0.25 * k:.2f},{0.5 * k:.1f}\n" for k in range(40))
+    trial = read(put(tmp_path / "a.csv", f"Time (s),Base (um),Deflection (um),Force (uN)\n{rows}"))
+    (flag,) = trial.flags
+    assert (flag.code, flag.values["alternatives"]) == ("column_choice", ["Base (um)"])
+
+
 @pytest.mark.parametrize("head", ["t,x,F", "t,delta,P", "t,h,P"])
 def test_letters_are_taken_where_only_one_can_be_meant_and_said(tmp_path: Path, head: str) -> None:
     trial = read(written(tmp_path / "a.csv", head))

@@ -19,7 +19,15 @@ from tissueid.flags import Flag
 from tissueid.ingest.header import asked_interval
 from tissueid.ingest.options import AXES, ReadOptions
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.vocabulary import CHANNELS, SIDEWAYS_RANK, SYMBOL_RANK, Channel, plain_words, rank_of
+from tissueid.ingest.vocabulary import (
+    CHANNELS,
+    OTHER_SENSOR_RANK,
+    SIDEWAYS_RANK,
+    SYMBOL_RANK,
+    Channel,
+    plain_words,
+    rank_of,
+)
 from tissueid.units import INTERNAL_UNITS, OTHER_BRACKETS, Quantity, bare_unit, factor_to, quantity_of
 
 Channels = tuple[FloatArray, FloatArray, FloatArray]
@@ -303,10 +311,14 @@ class _Head:
         return [] if sum(doubtful) > 1 and doubtful[0] else found
 
     def ruled_out(self, channel: Channel, found: Sequence[tuple[int, _Column]]) -> list[str]:
-        """Columns whose name fits as well as the best or better, but whose unit is of something else."""
+        """Columns of a name as good as the best, but not of its unit; beside another sensor, of its unit."""
         others = [one for one in self.columns if all(one is not candidate for _, candidate in found)]
-        named = ((column, self.rank(column, channel, loose=False)) for column in others)
-        return [column.name for column, rank in named if rank is not None and rank <= found[0][0]]
+        named = [(column, self.rank(column, channel, loose=False)) for column in others]
+        fitting = [one.name for one, rank in named if rank is not None and rank <= found[0][0]]
+        if channel != "displacement" or found[0][0] != OTHER_SENSOR_RANK:
+            return fitting
+        wanted = self.options.quantity(channel)
+        return fitting + [one.name for one, _ in named if one.unit and quantity_of(one.unit) == wanted]
 
     def named(self, wanted: str) -> list[_Column]:
         """The columns a user's name means: by number, as printed, or but for case, accents and unit."""

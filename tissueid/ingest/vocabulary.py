@@ -104,6 +104,8 @@ _NAMES: dict[Channel, dict[int, str]] = {
         2: r"capteur de force|kraft ?(?:aufnehmer|sensor|messdose)|load channel|force channel",
     },
 }
+#: Rank of a sensor beside which a column of any name may be the travel.
+OTHER_SENSOR_RANK = 5
 _CHANNEL_NUMBER = re.compile(r"(.*?) ?([1-9])")
 #: A channel number above one adds to the rank.
 _CHANNEL_PENALTY = 5
