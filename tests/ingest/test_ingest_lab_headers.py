@@ -203,6 +203,14 @@ def test_a_lone_unit_of_a_header_is_that_of_the_force_but_no_length(tmp_path: Pa
     assert (ruler.displacement_mm[1], codes(ruler).count("units_assumed")) == (20.0, 3)
 
 
+def test_units_that_stand_in_the_rows_of_a_gauge_without_names_are_taken(tmp_path: Path) -> None:
+    lines = "".join(f"{0.5 * k:+07.3f},gf,{20.5 * k:+09.1f},um\n" for k in range(40))
+    columns = {"time": "50Hz", "displacement": "#3", "force": "#1"}
+    trial = read(put(tmp_path / "a.csv", lines), ReadOptions(columns=columns))
+    assert (trial.displacement_mm[2], trial.force_N[2]) == pytest.approx((0.041, 9.80665e-3))
+    assert codes(trial) == ["time_counted"]
+
+
 @pytest.mark.parametrize(
     "line", ["Counts per Unit Force:,1000000", "# counts/N: 1000000", "Bits per newton = 64"]
 )

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from tissueid.ingest.numbers import Row, is_word, looks_numeric
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.vocabulary import is_units_key
+from tissueid.ingest.vocabulary import CHANNELS, is_units_key
 from tissueid.units import bare_unit, quantity_of
 
 #: Rows that show how cells are written, and the share of lines with a number that are written so.
@@ -87,9 +87,18 @@ def _of(mark: bytes, cells: Sequence[re.Match[bytes]]) -> _Form | None:
     return _Form(mark, labels, units) if known and (any(labels) or any(units)) else None
 
 
+def _is_unit(before: str, cell: str) -> bool:
+    return looks_numeric(before) and quantity_of(cell.strip()) in CHANNELS
+
+
 def units_beside(names: Row, rows: Iterable[Row], place: Place) -> Row:
-    """Units that a column of its own gives to the one before it: ``Load,Units`` over ``1.25,lbf``."""
-    printed: dict[int, set[str]] = {k: set() for k, name in enumerate(names) if k and is_units_key(name)}
+    """Units that a column of its own gives to the one before it: ``Load,Units`` over ``1.25,lbf``.
+
+    ``names``: those of the columns; of a file without any, its first row.
+    """
+    printed: dict[int, set[str]] = {
+        k: set() for k, name in enumerate(names) if k and (is_units_key(name) or _is_unit(names[k - 1], name))
+    }
     for row in rows if printed else ():
         for k, units in printed.items():
             if len(row) > k and looks_numeric(row[k - 1]) and is_word(row[k]):

@@ -432,7 +432,9 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     if any(text.names):
         names = tuple(one or own for one, own in zip_longest(names, text.names, fillvalue=""))
     cells = (split_line(text.decode(line), delimiter) for line in io.BytesIO(text.data))
-    units = with_units(names, units, text.units or units_beside(names, cells, place), place)
+    units = with_units(
+        names, units, text.units or units_beside(names if any(names) else sample[0], cells, place), place
+    )
     decimal = options.decimal or find_decimal(text, sample, delimiter, place, first=found.first, rows=below)
     layout = Layout(
         delimiter,
