@@ -18,8 +18,8 @@ from ingest_files import ROWS, codes, put, read, refusal, workbook, written
 
 from tissueid.collection import TrialCache, collect
 from tissueid.ingest import ReadOptions, read_each, read_trials
-from tissueid.ingest.columns import split_name
 from tissueid.ingest.reading import no_specimen
+from tissueid.ingest.vocabulary import split_name
 from tissueid.segment import SegmentOptions
 from tissueid.units import INTERNAL_UNITS, KNOWN_UNITS, KNOWN_WORDS, REPEATS, factor_to, quantity_of
 
@@ -180,6 +180,16 @@ def timed(times: Iterable[object], travel: float = 0.05) -> str:
     return "".join(f"{t},{k * travel:g},{1 + k * 0.25:.3f}\n" for k, t in enumerate(times))
 
 
+@pytest.mark.parametrize("head", ["Laikas (s),Poslinkis (um),Jėga (N)", "Laikas,Poslinkis,Jėga\ns,um,N"])
+def test_names_of_no_known_language_are_told_by_their_units_where_each_channel_has_one(tmp_path, head):
+    trial, known = (
+        read(written(tmp_path / name, one)) for name, one in (("a.csv", head), ("b.csv", "s,um,N"))
+    )
+    assert trial.displacement_mm.tolist() == known.displacement_mm.tolist()
+    assert [flag.code for flag in trial.flags] == ["column_choice"] * 3
+    assert all("by its unit alone" in flag.message for flag in trial.flags)
+
+
 @pytest.mark.parametrize(
     "head",
     [
@@ -202,6 +212,8 @@ def timed(times: Iterable[object], travel: float = 0.05) -> str:
         "Time (s),Travel_SP (mm),Force (N)",
         "Time (s),Travel reference (mm),Force (N)",
         "Time (s),Travel (mm),F1 (N),F2 (N)",
+        "Time (s),Width (mm),Force (N)",
+        "Laikas (s),Storis (mm),Poslinkis (mm),Jėga (N)",
     ],
 )
 def test_what_may_be_something_else_is_not_taken_for_want_of_another(tmp_path: Path, head: str) -> None:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from tissueid.errors import InputError
 from tissueid.flags import Flag
-from tissueid.ingest.columns import has_channels, split_name
+from tissueid.ingest.columns import has_channels
 from tissueid.ingest.delimited import read_table
 from tissueid.ingest.header import header_entries, protocol_of
 from tissueid.ingest.layout import Layout, find_decimal, is_units_row, numeric_columns, split_line
@@ -22,7 +22,7 @@ from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.side_by_side import SpecimenColumns, specimen_columns
 from tissueid.ingest.text import Text
-from tissueid.ingest.vocabulary import plain_words
+from tissueid.ingest.vocabulary import plain_words, split_name
 
 #: Rows looked at for the decimal mark, and for which columns hold numbers.
 _SAMPLED_BYTES = 1 << 14

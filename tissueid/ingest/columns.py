@@ -25,53 +25,21 @@ from tissueid.ingest.vocabulary import (
     SIDEWAYS_RANK,
     SYMBOL_RANK,
     Channel,
+    is_unknown,
     plain_words,
     rank_of,
+    split_name,
 )
-from tissueid.units import INTERNAL_UNITS, OTHER_BRACKETS, Quantity, bare_unit, factor_to, quantity_of
+from tissueid.units import INTERNAL_UNITS, Quantity, bare_unit, factor_to, quantity_of
 
 Channels = tuple[FloatArray, FloatArray, FloatArray]
 
-_BRACKETED = re.compile(
-    r"(.*?)(?:\s+(?:in|en|em))?\s*[(\[]\s*(?:in\s+(?![)\]\s]))?([^()\[\]]*?)\s*[)\]]\s*", re.DOTALL
-)
-_AFTER_IN = re.compile(r"(.*[^\s_.])[\s_.]+(?:in|en|em|w|i|в)[\s_.]+([^\s_.]+)")
-_AFTER_COMMA = re.compile(r"(.*\S)\s*[,/;|\\]\s*(\S+)\s*", re.DOTALL)
-#: MATLAB writes ``Time (s)`` as ``Time_s_``, and a second one as ``Time_s__1``.
-_AFTER_GLUE = re.compile(r"(.*[^\s_-])\s?(?:_{1,2}|-)\s?([^\s_\d-][^\s_-]*)(?:_(?:_\d+)?)?", re.DOTALL)
-_AFTER_SPACE = re.compile(
-    r"(.*\S)\s+(mm|cm|[uµμn]m|[kmuµμ]?N|kgf|gf|lbf|s|sec|ms|msec|мм|мкм|[км]?Н|к?гс|м?с|сек)"
-)
-_AFTER_DOT = re.compile(r"([^.].*[^.])\.{1,2}([^.\d]+)\.?")
-#: ``Time:s``, and ``timeMs``, behind the name of a channel alone: a clock is ``mm:ss``, ``forceZ`` an axis.
-_AFTER_COLON = re.compile(r"([^:]*[^\s:])\s*:(\S+)")
-_AFTER_CAPITAL = re.compile(r"(.*[a-z])((?:S|Ms|Us)(?:ecs?)?|MS|US|Mm|MM|Um|UM|[KM]n|K?N|Newtons?)")
-_CAPITAL_FORCES = {"N": "N", "KN": "kN", "Kn": "kN", "Mn": "mN"}
-#: A number of a name that repeats, or a mark of a remark.
-_NUMBERED = re.compile(r"(?<=[)\]])(?:[._]\d+|\*+)$")
-#: Units that may end a name without brackets: ``Fz, gf``, ``stress_kPa``, ``Stress-kPa``, ``Load N``.
-_SPLIT_UNITS = (*CHANNELS, "stress", "strain")
 #: What is most likely meant by small letters: the millinewton, and no meganewton.
 _IN_CAPITALS = {"mn": "mN", "un": "uN", "pn": "pN"}
-#: A longer text is no name, and would cost the patterns above the square of its length.
-_LONGEST_NAME = 250
-#: Times that are named by their unit alone.
-_NAMED_BY_UNIT = re.compile(
-    r"seconds?|secs?|ms|msecs?|millis(?:econds?)?|us|usecs?|micros(?:econds?)?|mins|minutes?", re.IGNORECASE
-)
 #: Letters of the depth of an indentation.
 _DEPTHS = frozenset({"h", "δ", "delta"})
 #: Least clock time in one number, as one after midnight could be seconds as well, and fewest that tell.
 LEAST_CLOCK, FEWEST_TIMES = 10_000.0, 10
-#: A form of clock times, which are read as seconds: ``hh:mm:ss.fff``.
-_CLOCK_FORM = re.compile(r"(?:h+:)?m+:s+(?:[.,:][f0sz#]+)?", re.IGNORECASE)
-#: A word or sign that may be a unit, or a part of one: ``10^-3 N``, ``″``.
-_UNIT_LIKE = re.compile(
-    r"[^\W\d_]{1,8}|[x×*·]?\s*(?:10\s*(?:\^|\*\*|[⁻-]?[⁰¹²³⁴-⁹\d]|[⁻-])|1[eE]|0[.,]0*1\b).*"
-    r"|[\"'″′#?]{1,2}"
-)
-#: What ends a name as a unit does, and is none of a channel, or in small letters one of several.
-_GLUED_UNIT = re.compile(r"[mµu]?V|[Vv]olts?|[Ss]teps|[Tt]icks|[Cc]ounts|bits|adc|ADC|[mup]n")
 #: Names of whole seconds, and of their part below one, behind the same words: ``header stamp nsecs``.
 _WHOLE_SECONDS = re.compile(r"((?:.* )?)(?:s|secs?|seconds?|sekunden?|secondes?|segundos?|secondi)")
 _BELOW_SECOND = re.compile(
@@ -214,38 +182,12 @@ class _Column:
     def unit(self) -> str | None:
         return self.units[0] if self.units else None
 
-
-def split_name(name: str) -> tuple[str, str | None]:
-    """A printed name without its unit, and the unit: ``"Force (kN)"``, ``"Fz, gf"``, ``"time_s"``."""
-    if len(name) > _LONGEST_NAME:
-        return name, None
-    name = _NUMBERED.sub("", name.translate(OTHER_BRACKETS))
-    if match := _BRACKETED.fullmatch(name):
-        inside = match[2]
-        if match[1] and _CLOCK_FORM.fullmatch(inside):
-            return match[1], None
-        if match[1].endswith((")", "]")) and quantity_of(inside) not in _SPLIT_UNITS:
-            before, unit = split_name(match[1])  # a sensor stands behind the unit: "Force [mN] (cell 2)"
-            if quantity_of(unit or "") in _SPLIT_UNITS:
-                return before, unit
-        if match[1] and inside and (quantity_of(inside) is not None or _UNIT_LIKE.fullmatch(inside)):
-            before, unit = split_name(match[1])  # it may say so twice: "x_mm [mm]"
-            return before if unit == inside else match[1], inside
-        return ("time", inside) if not match[1] and quantity_of(inside) == "time" else (name, None)
-    if _NAMED_BY_UNIT.fullmatch(name):
-        return name, name
-    for pattern in (_AFTER_IN, _AFTER_COMMA, _AFTER_GLUE, _AFTER_SPACE, _AFTER_DOT):
-        if (match := pattern.fullmatch(name)) and quantity_of(match[2]) in _SPLIT_UNITS:
-            return match[1], match[2]
-    for pattern in (_AFTER_COLON, _AFTER_CAPITAL):
-        if match := pattern.fullmatch(name):
-            unit = match[2] if pattern is _AFTER_COLON else _CAPITAL_FORCES.get(match[2], match[2].lower())
-            quantity = quantity_of(unit)
-            if quantity in CHANNELS and rank_of(match[1], quantity, loose=True) is not None:
-                return match[1], unit
-    if (match := _AFTER_GLUE.fullmatch(name)) and (match[2] == "n" or _GLUED_UNIT.fullmatch(match[2])):
-        return match[1], "N" if match[2] == "n" else match[2]
-    return name, None
+    @property
+    def by_unit(self) -> bool:
+        """True of a name that gave way to its unit."""
+        return (
+            self.name != "" and self.base != split_name(self.name)[0] and quantity_of(self.name) != self.base
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,16 +281,21 @@ class _Head:
 
 
 def _named_by_units(columns: list[_Column]) -> list[_Column]:
-    """Columns of a head that is nothing but a unit of each channel, named by these; others as they are."""
-    if len(columns) != len(CHANNELS) or any(rank_of(one.base, "force", loose=False) == 0 for one in columns):
-        return columns
+    """Columns of three with a unit of each channel: units alone, and names of no known word, yield to it."""
+    known = any(rank_of(one.base, "force", loose=False) == 0 for one in columns)
     units = [column.name or column.unit or "" for column in columns]
-    quantities = [quantity_of(unit) for unit in units]
     # letters may be names: m, s and N, or a depth h
-    if set(quantities) != {*CHANNELS} or {"h", "m"} & {*units}:
+    bare = not known and {quantity_of(unit) for unit in units} == {*CHANNELS} and not {"h", "m"} & {*units}
+    if not bare:
+        units = [column.unit or "" for column in columns]
+    if len(columns) != len(CHANNELS) or {quantity_of(unit) for unit in units} != {*CHANNELS}:
         return columns
-    named = zip(columns, quantities, units, strict=True)
-    return [replace(column, base=str(quantity), units=(unit,)) for column, quantity, unit in named]
+    return [
+        replace(column, base=str(quantity_of(unit)), units=(unit,))
+        if bare or is_unknown(column.base)
+        else column
+        for column, unit in zip(columns, units, strict=True)
+    ]
 
 
 def _is_normalised(column: _Column, axis: Quantity) -> bool:
@@ -412,6 +359,16 @@ def choose_columns(
         part = _below_second(head, found[0][1]) if channel == "time" else None
         further = [column.name for _, column in found[1:] if part is None or column.index != part[0]]
         others = further + head.ruled_out(channel, found)
+        message = f"{channel} was taken from {taken[channel].name!r}"
+        if taken[channel].by_unit:
+            message = f"{channel} was taken from {taken[channel].name!r} by its unit alone"
+            flags.append(
+                Flag(
+                    "column_choice",
+                    message,
+                    {"quantity": channel, "taken": taken[channel].name, "alternatives": []},
+                )
+            )
         if others:
             name, more = taken[channel].name, f" or {len(others) - 1} more" if others[1:] else ""
             message = f"{channel} was taken from {name!r}, not from {others[0]!r}{more}"

@@ -22,7 +22,6 @@ from tissueid.ingest.columns import (
     choose_columns,
     has_channels,
     has_time,
-    split_name,
 )
 from tissueid.ingest.header import header_entries, protocol_of, specimen_in, stated_interval
 from tissueid.ingest.layout import Layout, split_line
@@ -32,7 +31,7 @@ from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.rows import flag_head, row_like, skipped_flag
 from tissueid.ingest.text import Text
-from tissueid.ingest.vocabulary import CHANNELS, is_comment_name, plain_words, specimen_key_rank
+from tissueid.ingest.vocabulary import CHANNELS, is_comment_name, plain_words, specimen_key_rank, split_name
 
 _GROUPED_KEY = re.compile(r"[^:]{1,40} : \S.*")
 _BLUEHILL_PATH = re.compile(r"\.is_[a-z]+(?:_RawData|_Exports)?(?:[/\\.]|$)|RawData", re.IGNORECASE)

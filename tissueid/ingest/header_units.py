@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from tissueid.ingest.columns import channel_columns, split_name
+from tissueid.ingest.columns import channel_columns
 from tissueid.ingest.numbers import Row
 from tissueid.ingest.options import ReadOptions
-from tissueid.ingest.vocabulary import UNIT_WORD, Channel, plain_words, rank_of
+from tissueid.ingest.vocabulary import UNIT_WORD, Channel, plain_words, rank_of, split_name
 from tissueid.units import quantity_of
 
 #: A name and its unit: ``Force unit: mN``, ``force_unit=mN``, ``Units (force): mN``, ``Force in mN``.

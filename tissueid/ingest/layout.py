@@ -16,14 +16,14 @@ from functools import lru_cache
 from itertools import zip_longest
 
 from tissueid.flags import Flag
-from tissueid.ingest.columns import channel_columns, has_channels, split_name
+from tissueid.ingest.columns import channel_columns, has_channels
 from tissueid.ingest.header_units import stated_units
 from tissueid.ingest.labelled import units_beside, with_units
 from tissueid.ingest.numbers import Row, decimal_evidence, is_word, looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, Text
-from tissueid.ingest.vocabulary import is_comment_name, is_units_key, plain_words
+from tissueid.ingest.vocabulary import is_comment_name, is_units_key, plain_words, split_name
 from tissueid.units import quantity_of
 
 Cells = Sequence[str]

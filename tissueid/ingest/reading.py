@@ -21,7 +21,6 @@ from tissueid.extras import faults_of
 from tissueid.flags import Flag
 from tissueid.ingest.archive import archive_recipe
 from tissueid.ingest.blocks import MACH_1, MTS_793, SHIMADZU
-from tissueid.ingest.columns import split_name
 from tissueid.ingest.delimited import BLUEHILL_CSV, CHIARO, COLUMNS_TEXT, TESTXPERT_TRA
 from tissueid.ingest.discovery import find_inputs
 from tissueid.ingest.header import protocol_of
@@ -32,7 +31,7 @@ from tissueid.ingest.quality import capacity_in, quality_flags, zero_dt
 from tissueid.ingest.recipe import Detection, InputFile, Match, Recipe, Table, open_input
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.session import SESSION_LOG
-from tissueid.ingest.vocabulary import CHANNELS, SYMBOL_RANK, Channel, plain_words, rank_of
+from tissueid.ingest.vocabulary import CHANNELS, SYMBOL_RANK, Channel, plain_words, rank_of, split_name
 from tissueid.ingest.workbook import TESTXPERT_WORKBOOK, WORKBOOK
 from tissueid.signal_noise import between_ticks
 from tissueid.trial import Axes, Source, Trial

@@ -9,11 +9,11 @@ from itertools import pairwise, takewhile
 from typing import Any
 
 from tissueid.errors import InputError
-from tissueid.ingest.columns import has_channels, split_name
+from tissueid.ingest.columns import has_channels
 from tissueid.ingest.numbers import Row
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import moved
-from tissueid.ingest.vocabulary import CHANNELS, Channel, plain_words, rank_of
+from tissueid.ingest.vocabulary import CHANNELS, Channel, plain_words, rank_of, split_name
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,8 @@ import unicodedata
 from functools import cache
 from typing import Literal
 
+from tissueid.units import OTHER_BRACKETS, quantity_of
+
 #: The three channels every recording must have.
 Channel = Literal["time", "displacement", "force"]
 
@@ -27,7 +29,7 @@ _SENSE_AFTER = (
 _NAMES: dict[Channel, dict[int, str]] = {
     "time": {
         0: (  # the time of the test
-            r"(?:total |test |running |measured )?time(?: measurement)?|seconds?|secs?|ms|msecs?"
+            r"(?:total |test |running |measured )?timer?(?: measurement)?|seconds?|secs?|ms|msecs?"
             r"|millis(?:econds?)?|us|usecs?|micros(?:econds?)?|mins|minutes?|zeit|pruf ?zeit"
             r"|test ?zeit|versuchszeit|laufzeit|messzeit"
             r"|temps(?: d essai)?|temps total|duree|tiempo(?: de ensayo| total)?|tempo(?: di prova| (?:de"
@@ -150,6 +152,10 @@ _NOT_A_CHANNEL = re.compile(
     r"|shear|lateral|tangential|friction(?:al)?"
     r"|set$|des|goal|desired|programmed|nominal|target|soll\w*|consigne|valor nominal)\b"
 )
+#: Lengths that are no travel.
+_SIZE = re.compile(
+    r"\b(?:width|thickness|diam(?:eter)?|radius|breite|dicke|durchmesser|largeur|epaisseur|diametre|ancho|espesor)\b"
+)
 
 #: A longer text is no key, and would cost the patterns the square of its length.
 _LONGEST_KEY = 250
@@ -228,6 +234,13 @@ def rank_of(name: str, channel: Channel, *, loose: bool) -> int | None:
     return None
 
 
+def is_unknown(name: str) -> bool:
+    """True of a name that is no channel's and of nothing else that is known."""
+    words = plain_words(name)
+    known = _NOT_A_CHANNEL.search(words) or _SIZE.search(words) or split_name(name)[1]
+    return not known and all(rank_of(name, channel, loose=True) is None for channel in CHANNELS)
+
+
 def is_specimen_name(words: str) -> bool:
     """True where a column, in plain words, tells specimens apart: ``sample``, ``specimen id``."""
     plain = re.sub(r"\bsample\b", "specimen", re.sub(r" (?:no|nr|number|code)$", "", words))
@@ -245,3 +258,72 @@ def specimen_key_rank(key: str) -> int | None:
     if not _SPECIMEN_WORDS.search(words):
         return None
     return next((rank for rank, pattern in enumerate(_SPECIMEN_NAMING) if pattern.search(words)), None)
+
+
+_BRACKETED = re.compile(
+    r"(.*?)(?:\s+(?:in|en|em))?\s*[(\[]\s*(?:in\s+(?![)\]\s]))?([^()\[\]]*?)\s*[)\]]\s*", re.DOTALL
+)
+_AFTER_IN = re.compile(r"(.*[^\s_.])[\s_.]+(?:in|en|em|w|i|в)[\s_.]+([^\s_.]+)")
+_AFTER_COMMA = re.compile(r"(.*\S)\s*[,/;|\\]\s*(\S+)\s*", re.DOTALL)
+#: MATLAB writes ``Time (s)`` as ``Time_s_``, and a second one as ``Time_s__1``.
+_AFTER_GLUE = re.compile(r"(.*[^\s_-])\s?(?:_{1,2}|-)\s?([^\s_\d-][^\s_-]*)(?:_(?:_\d+)?)?", re.DOTALL)
+_AFTER_SPACE = re.compile(
+    r"(.*\S)\s+(mm|cm|[uµμn]m|[kmuµμ]?N|kgf|gf|lbf|s|sec|ms|msec|мм|мкм|[км]?Н|к?гс|м?с|сек)"
+)
+_AFTER_DOT = re.compile(r"([^.].*[^.])\.{1,2}([^.\d]+)\.?")
+#: ``Time:s``, and ``timeMs``, behind the name of a channel alone: a clock is ``mm:ss``, ``forceZ`` an axis.
+_AFTER_COLON = re.compile(r"([^:]*[^\s:])\s*:(\S+)")
+_AFTER_CAPITAL = re.compile(r"(.*[a-z])((?:S|Ms|Us)(?:ecs?)?|MS|US|Mm|MM|Um|UM|[KM]n|K?N|Newtons?)")
+_CAPITAL_FORCES = {"N": "N", "KN": "kN", "Kn": "kN", "Mn": "mN"}
+#: A number of a name that repeats, or a mark of a remark.
+_NUMBERED = re.compile(r"(?<=[)\]])(?:[._]\d+|\*+)$")
+#: Units that may end a name without brackets: ``Fz, gf``, ``stress_kPa``, ``Stress-kPa``, ``Load N``.
+_SPLIT_UNITS = (*CHANNELS, "stress", "strain")
+#: A longer text is no name, and would cost the patterns above the square of its length.
+_LONGEST_NAME = 250
+#: Times that are named by their unit alone.
+_NAMED_BY_UNIT = re.compile(
+    r"seconds?|secs?|ms|msecs?|millis(?:econds?)?|us|usecs?|micros(?:econds?)?|mins|minutes?", re.IGNORECASE
+)
+#: A form of clock times, which are read as seconds: ``hh:mm:ss.fff``.
+_CLOCK_FORM = re.compile(r"(?:h+:)?m+:s+(?:[.,:][f0sz#]+)?", re.IGNORECASE)
+#: A word or sign that may be a unit, or a part of one: ``10^-3 N``, ``″``.
+_UNIT_LIKE = re.compile(
+    r"[^\W\d_]{1,8}|[x×*·]?\s*(?:10\s*(?:\^|\*\*|[⁻-]?[⁰¹²³⁴-⁹\d]|[⁻-])|1[eE]|0[.,]0*1\b).*"
+    r"|[\"'″′#?]{1,2}"
+)
+#: What ends a name as a unit does, and is none of a channel, or in small letters one of several.
+_GLUED_UNIT = re.compile(r"[mµu]?V|[Vv]olts?|[Ss]teps|[Tt]icks|[Cc]ounts|bits|adc|ADC|[mup]n")
+
+
+def split_name(name: str) -> tuple[str, str | None]:
+    """A printed name without its unit, and the unit: ``"Force (kN)"``, ``"Fz, gf"``, ``"time_s"``."""
+    if len(name) > _LONGEST_NAME:
+        return name, None
+    name = _NUMBERED.sub("", name.translate(OTHER_BRACKETS))
+    if match := _BRACKETED.fullmatch(name):
+        inside = match[2]
+        if match[1] and _CLOCK_FORM.fullmatch(inside):
+            return match[1], None
+        if match[1].endswith((")", "]")) and quantity_of(inside) not in _SPLIT_UNITS:
+            before, unit = split_name(match[1])  # a sensor stands behind the unit: "Force [mN] (cell 2)"
+            if quantity_of(unit or "") in _SPLIT_UNITS:
+                return before, unit
+        if match[1] and inside and (quantity_of(inside) is not None or _UNIT_LIKE.fullmatch(inside)):
+            before, unit = split_name(match[1])  # it may say so twice: "x_mm [mm]"
+            return before if unit == inside else match[1], inside
+        return ("time", inside) if not match[1] and quantity_of(inside) == "time" else (name, None)
+    if _NAMED_BY_UNIT.fullmatch(name):
+        return name, name
+    for pattern in (_AFTER_IN, _AFTER_COMMA, _AFTER_GLUE, _AFTER_SPACE, _AFTER_DOT):
+        if (match := pattern.fullmatch(name)) and quantity_of(match[2]) in _SPLIT_UNITS:
+            return match[1], match[2]
+    for pattern in (_AFTER_COLON, _AFTER_CAPITAL):
+        if match := pattern.fullmatch(name):
+            unit = match[2] if pattern is _AFTER_COLON else _CAPITAL_FORCES.get(match[2], match[2].lower())
+            quantity = quantity_of(unit)
+            if quantity in CHANNELS and rank_of(match[1], quantity, loose=True) is not None:
+                return match[1], unit
+    if (match := _AFTER_GLUE.fullmatch(name)) and (match[2] == "n" or _GLUED_UNIT.fullmatch(match[2])):
+        return match[1], "N" if match[2] == "n" else match[2]
+    return name, None
