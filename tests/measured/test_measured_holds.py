@@ -190,6 +190,22 @@ def test_two_rows_at_rest_under_a_pull_are_the_load_cells_zero():
     assert found.push.peak.force_N == pytest.approx(0.15 * depth[-1], abs=0.1)
 
 
+@pytest.mark.parametrize(("left", "ends_there"), [(0.2, True), (0.7, False)])
+def test_a_push_ends_at_the_rupture_after_which_no_force_is_as_large(left, ends_there):
+    time_s = np.arange(0.0, 4.0, 0.01)
+    depth = np.minimum(2.0 * np.clip(time_s - 1.0, 0.0, None), 5.0)
+    force = 2.0 * depth + 0.8 * depth**2
+    broke = 283
+    peak, force[broke + 1 :] = float(force[broke]), left * force[broke + 1 :]
+    noisy = force + 0.01 * peak * np.random.default_rng(0).standard_normal(force.size)
+    trial = Trial("a", time_s, depth, noisy)
+    divided = segment(trial)
+    assert [event.index for event in divided.events if event.kind == "rupture"] == [broke]
+    push = measure(trial, divided).push
+    expected = (peak, depth[broke]) if ends_there else (force.max(), 5.0)
+    assert (push.peak.force_N, push.travel_mm) == pytest.approx(expected, rel=0.02)
+
+
 def test_a_hold_that_a_rupture_cut_is_kept_and_marked():
     trial, divided = recording()
     (hold,) = measure(trial, replace(divided, events=(Event("rupture", 150, 1.5),))).holds

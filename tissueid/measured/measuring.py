@@ -18,7 +18,7 @@ from tissueid.measured.geometry import Geometry, modulus_of
 from tissueid.measured.pushes import HELD, Move, braking_before, move_before, moves, peak_of, usable_until
 from tissueid.measured.relaxation import Ladders, hold_ladders
 from tissueid.quantities import beyond_ramp
-from tissueid.trial import Phase, Segmentation, Trial
+from tissueid.trial import Event, Phase, Segmentation, Trial
 
 #: Half width of the window over the time, and fewest samples of a parabola.
 SHARE, FEWEST = 0.2, 6
@@ -137,9 +137,11 @@ def _base(trial: Trial, segmentation: Segmentation) -> documents.Base:
 def _push(record: _Record, move: Move, geometry: Geometry | None) -> documents.MeasuredPush:
     trial, segmentation, phases = record.trial, record.segmentation, record.segmentation.phases
     start, moving = phases[move.first].start, phases[move.moving].start
-    at, force = peak_of(trial.time_s, record.force_N, segmentation, move.last + 1)
-    depth = float(record.depth_mm[move.stop])
-    start_s, stop_s = float(trial.time_s[start]), float(trial.time_s[move.stop])
+    broke = _broke(record, start, move.stop)
+    at, force = peak_of(trial.time_s, record.force_N, segmentation, move.last + 1, broke)
+    stop = move.stop if broke is None else broke.index
+    depth = float(record.depth_mm[stop])
+    start_s, stop_s = float(trial.time_s[start]), float(trial.time_s[stop])
     held = phases[move.last + 1] if move.last + 1 < len(phases) else None
     last = held.stop - 1 if held is not None and held.kind == "hold" else None
     return documents.MeasuredPush(
@@ -149,11 +151,20 @@ def _push(record: _Record, move: Move, geometry: Geometry | None) -> documents.M
         speed_mm_s=phases[move.last].speed_mm_s,
         travel_mm=depth - float(record.depth_mm[moving]),
         depth_mm=None if segmentation.contact is None else depth,
-        braking_s=braking_before(segmentation, move),
+        braking_s=braking_before(segmentation, move) if broke is None else None,
         peak=documents.MeasuredPeak(float(trial.time_s[at]), force, record.recorded(force)),
-        modulus=modulus_of(trial, segmentation, slice(start, move.stop + 1), last, geometry),
-        forces=() if segmentation.contact is None else _loading(record, slice(start, move.stop + 1)),
+        modulus=modulus_of(trial, segmentation, slice(start, stop + 1), last, geometry),
+        forces=() if segmentation.contact is None else _loading(record, slice(start, stop + 1)),
     )
+
+
+def _broke(record: _Record, start: int, stop: int) -> Event | None:
+    """The rupture that ends a loading, as no force after it is as large."""
+    for event in record.segmentation.events:
+        if event.kind == "rupture" and start < event.index < stop:
+            before = event.values.get("force_before_N", 0.0)
+            return event if float(record.force_N[event.index + 1 : stop + 1].max()) <= before else None
+    return None
 
 
 def _loading(record: _Record, inside: slice) -> tuple[documents.MeasuredDepth, ...]:

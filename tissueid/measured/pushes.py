@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.trial import Phase, Segmentation
+from tissueid.trial import Event, Phase, Segmentation
 
 #: The peak is looked for from so long before the stop, at least, to so long after it [s].
 BEFORE_S, AFTER_S = 0.5, 0.1
@@ -84,13 +84,24 @@ class Peak(NamedTuple):
     force_N: float
 
 
-def peak_of(time_s: FloatArray, force_N: FloatArray, segmentation: Segmentation, number: int) -> Peak:
-    """The peak before a phase: its first sample where no loading comes before it."""
+def peak_of(
+    time_s: FloatArray,
+    force_N: FloatArray,
+    segmentation: Segmentation,
+    number: int,
+    broke: Event | None = None,
+) -> Peak:
+    """The peak before a phase: its first sample where no loading comes before it; ``broke``: not after it."""
     phases = segmentation.phases
     move = move_before(phases, number)
     if move is None:
         return Peak(phases[number].start, float(force_N[phases[number].start]))
     begin = phases[move.first].start
+    if broke is not None:
+        whole, took_s = slice(begin, broke.index + 1), broke.time_s - float(time_s[begin])
+        force = _smoothed(time_s[: whole.stop], force_N[: whole.stop], whole, segmentation, took_s)
+        at, last = int(np.argmax(force)), broke.values["force_before_N"]
+        return Peak(broke.index, last) if last > force[at] else Peak(begin + at, float(force[at]))
     stop_s = float(time_s[move.stop])
     held = number < len(phases) and phases[number].kind in HELD
     # without a standstill the tissue may give way long before the end of the move
