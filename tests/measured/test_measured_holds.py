@@ -191,16 +191,20 @@ def test_two_rows_at_rest_under_a_pull_are_the_load_cells_zero():
 
 
 @pytest.mark.parametrize(("left", "ends_there"), [(0.2, True), (0.7, False)])
-def test_a_push_ends_at_the_rupture_after_which_no_force_is_as_large(left, ends_there):
+@pytest.mark.parametrize("punctured", [False, True])
+def test_a_push_ends_at_the_rupture_after_which_no_force_is_as_large(punctured, left, ends_there):
     time_s = np.arange(0.0, 4.0, 0.01)
     depth = np.minimum(2.0 * np.clip(time_s - 1.0, 0.0, None), 5.0)
     force = 2.0 * depth + 0.8 * depth**2
-    broke = 283
+    first, broke = 200, 283
+    if punctured:  # a first layer, which gave way at a lesser force
+        force[first + 1 :] -= 0.5 * force[first]
     peak, force[broke + 1 :] = float(force[broke]), left * force[broke + 1 :]
     noisy = force + 0.01 * peak * np.random.default_rng(0).standard_normal(force.size)
     trial = Trial("a", time_s, depth, noisy)
     divided = segment(trial)
-    assert [event.index for event in divided.events if event.kind == "rupture"] == [broke]
+    found = [event.index for event in divided.events if event.kind == "rupture"]
+    assert found == ([first, broke] if punctured else [broke])
     push = measure(trial, divided).push
     expected = (peak, depth[broke]) if ends_there else (force.max(), 5.0)
     assert (push.peak.force_N, push.travel_mm) == pytest.approx(expected, rel=0.02)

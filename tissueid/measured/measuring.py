@@ -162,8 +162,9 @@ def _broke(record: _Record, start: int, stop: int) -> Event | None:
     """The rupture that ends a loading, as no force after it is as large."""
     for event in record.segmentation.events:
         if event.kind == "rupture" and start < event.index < stop:
-            before = event.values.get("force_before_N", 0.0)
-            return event if float(record.force_N[event.index + 1 : stop + 1].max()) <= before else None
+            later = float(record.force_N[event.index + 1 : stop + 1].max())
+            if later <= event.values.get("force_before_N", 0.0):
+                return event
     return None
 
 
