@@ -49,8 +49,10 @@ def quantum(values: FloatArray, *, fewest: int = 1) -> float:
     """
     steps = np.abs(np.diff(values))
     changes = int(np.count_nonzero(steps))
+    if not 0 < changes <= (1.0 - QUANTISED_SHARE) * steps.size:
+        return 0.0
     moved = _steps_of_their_own(steps)
-    if moved.size < max(fewest, 1) or changes > (1.0 - QUANTISED_SHARE) * steps.size:
+    if moved.size < max(fewest, 1):
         return 0.0
     count = min(max(1, changes // 10), moved.size)
     smallest = np.partition(moved, count - 1)[:count]

@@ -181,6 +181,7 @@ def test_steps_of_a_reading_are_told_from_those_of_a_speed(slope):
     # eight pushes without noise, their corners on samples: steps of 0.2 mm are the crosshead's, at 10 Hz
     one = np.interp(np.arange(160.0), [10.0, 30.0, 130.0, 150.0], [0.0, 4.0, 4.0, 0.0])
     assert quantum(np.tile(one, 8), fewest=8) == 0.0
+    assert [quantum(np.ones(n)) for n in range(4)] == [0.0] * 4
 
 
 @pytest.mark.parametrize("rate_Hz", [5.0, 10.0, 50.0])
