@@ -358,22 +358,7 @@ def choose_columns(
         taken[channel] = found[0][1]
         part = _below_second(head, found[0][1]) if channel == "time" else None
         further = [column.name for _, column in found[1:] if part is None or column.index != part[0]]
-        others = further + head.ruled_out(channel, found)
-        message = f"{channel} was taken from {taken[channel].name!r}"
-        if taken[channel].by_unit:
-            message = f"{channel} was taken from {taken[channel].name!r} by its unit alone"
-            flags.append(
-                Flag(
-                    "column_choice",
-                    message,
-                    {"quantity": channel, "taken": taken[channel].name, "alternatives": []},
-                )
-            )
-        if others:
-            name, more = taken[channel].name, f" or {len(others) - 1} more" if others[1:] else ""
-            message = f"{channel} was taken from {name!r}, not from {others[0]!r}{more}"
-            values = {"quantity": channel, "taken": name, "alternatives": others}
-            flags.append(Flag("column_choice", message, values))
+        flags += _choice_flag(channel, found[0][1], further + head.ruled_out(channel, found))
     indices = {channel: column.index for channel, column in taken.items()}
     printed = {channel: column.shown for channel, column in taken.items()}
     factors = {
@@ -391,6 +376,17 @@ def choose_columns(
     return ColumnChoice(
         indices, printed, factors, tuple(flags), head.options.axes, interval_s, stated, other, part
     )
+
+
+def _choice_flag(channel: Channel, column: _Column, others: Sequence[str]) -> list[Flag]:
+    """``column_choice`` of a column that was taken by its unit, or before others."""
+    if not (others or column.by_unit):
+        return []
+    message = f"{channel} was taken from {column.name!r}" + " by its unit alone" * column.by_unit
+    if others:
+        message += f", not from {others[0]!r}" + f" or {len(others) - 1} more" * (len(others) > 1)
+    values = {"quantity": channel, "taken": column.name, "alternatives": list(others)}
+    return [Flag("column_choice", message, values)]
 
 
 def _time_of_day(time_s: FloatArray) -> FloatArray | None:

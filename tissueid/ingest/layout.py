@@ -395,8 +395,8 @@ _IN_COUNTS = re.compile(
 )
 
 
-def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
-    """Lay out a text file."""
+def _head_lines(text: Text, place: Place) -> list[bytes]:
+    """Whole lines of the first bytes of a file."""
     raw = text.data[:HEAD_BYTES].splitlines(keepends=True)
     if len(text.data) > HEAD_BYTES:
         raw = raw[:-1]
@@ -404,6 +404,12 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
         place.refuse("empty_file", "the file is empty; export the test again")
     if not raw:
         place.refuse("not_an_export", f"the first line is longer than {HEAD_BYTES} bytes: this is no table")
+    return raw
+
+
+def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
+    """Lay out a text file."""
+    raw = _head_lines(text, place)
     for count in (_HEAD_LINES, len(raw)):  # of few headers the table begins so far down
         lines = [text.decode(line) for line in raw[:count]]
         delimiter = options.delimiter or _find_delimiter(lines)
@@ -432,9 +438,8 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     if any(text.names):
         names = tuple(one or own for one, own in zip_longest(names, text.names, fillvalue=""))
     cells = (split_line(text.decode(line), delimiter) for line in io.BytesIO(text.data))
-    units = with_units(
-        names, units, text.units or units_beside(names if any(names) else sample[0], cells, place), place
-    )
+    beside = text.units or units_beside(names if any(names) else sample[0], cells, place)
+    units = with_units(names, units, beside, place)
     decimal = options.decimal or find_decimal(text, sample, delimiter, place, first=found.first, rows=below)
     layout = Layout(
         delimiter,
