@@ -64,7 +64,7 @@ def quantum(values: FloatArray, *, fewest: int = 1) -> float:
 
 def _steps_of_their_own(steps: FloatArray) -> FloatArray:
     """Steps above 0, without those inside a straight ramp and at its corners, which are the speed's."""
-    padded = np.pad(steps, STANDING, mode="edge")
+    padded = np.pad(steps, STANDING)
     windows = sliding_window_view(padded, STANDING)
     stood, stands = windows[: steps.size].max(axis=1) == 0.0, windows[STANDING + 1 :].max(axis=1) == 0.0
     before, after = padded[STANDING - 1 : -STANDING - 1], padded[STANDING + 1 : padded.size - STANDING + 1]

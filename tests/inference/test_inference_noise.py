@@ -278,7 +278,7 @@ def test_the_corner_of_the_retract_is_no_noise_of_the_hold() -> None:
     times = [0.0, 5.0, 10.0, 30.04, 32.0, 40.0]
     depth = np.interp(time, times, [-1.0, -1.0, 3.0, 3.0, -1.0, -1.0])
     into, held = np.maximum(depth, 0.0), np.clip(time - 10.0, 0.0, None)
-    force = into * (1.0 + 0.2 * np.exp(-held / 2.0))
+    force = into * (1.0 + 0.2 * np.exp(-held))
     force += sigma * np.random.default_rng(2).standard_normal(time.size)
     trial = Trial("cut", time, depth, force)
     segmentation = segment(trial)

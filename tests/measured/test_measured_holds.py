@@ -214,6 +214,10 @@ def test_a_hold_that_a_rupture_cut_is_kept_and_marked():
     trial, divided = recording()
     (hold,) = measure(trial, replace(divided, events=(Event("rupture", 150, 1.5),))).holds
     assert hold.after_rupture
+    # no number of several tests is of broken tissue
+    assert {row.hold for row in spread([measure(trial, divided)])} == {1}
+    broken = measure(trial, replace(divided, events=(Event("rupture", 150, 1.5),)))
+    assert {row.hold for row in spread([broken])} == {0}
     assert hold.at(1.0) is not None
 
 

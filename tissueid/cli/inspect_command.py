@@ -235,8 +235,8 @@ def _numbers(one: Trial | Watch) -> str:
     assert measured is not None  # noqa: S101  (what is refused has no such line)
     assert one.units is not None  # noqa: S101
     length, force = one.units.length, one.units.force
-    holds = [(hold.push.peak.force_N, hold) for hold in measured.holds if hold.push is not None]
-    hold = max(holds, key=lambda each: each[0])[1] if holds else None
+    whole = [hold for hold in measured.holds if hold.push is not None and not hold.after_rupture]
+    hold = max(whole, key=lambda one: one.push.peak.force_N if one.push else 0.0, default=None)
     push = measured.push if hold is None else hold.push
     if push is None and not measured.loops:
         return "nothing was loaded"

@@ -44,6 +44,12 @@ def usable_until(segmentation: Segmentation, size: int) -> int:
     return min([end, *ruptures])
 
 
+def whole_holds(segmentation: Segmentation) -> list[Phase]:
+    """Standstills before the first rupture."""
+    last = usable_until(segmentation, 0)
+    return [hold for hold in segmentation.of_kind("hold") if hold.stop <= last]
+
+
 def move_before(phases: tuple[Phase, ...], number: int) -> Move | None:
     """The loading that ends where a phase begins; ``None`` where another move, or none, comes before it."""
     first = number

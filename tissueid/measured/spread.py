@@ -109,8 +109,10 @@ _HOLD_NUMBERS = (
 )
 
 
-def spread(logs: Sequence[Measured]) -> tuple[Spread, ...]:
-    """Mean and standard deviation between the logs of each program of every measured number."""
+def spread(measured: Sequence[Measured]) -> tuple[Spread, ...]:
+    """Mean and standard deviation between the logs of each program of every number before a rupture."""
+    whole = [tuple(hold for hold in log.holds if not hold.after_rupture) for log in measured]
+    logs = [structs.replace(log, holds=holds) for log, holds in zip(measured, whole, strict=True)]
     rows: list[Spread] = []
     for program, members in enumerate(_programs(logs), 1):
         pushes = [log.push for log in members if log.push is not None and not log.holds]
