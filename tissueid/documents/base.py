@@ -48,20 +48,6 @@ class Placed(Protocol):
         """Sheet of a workbook; ``None`` where the file has none."""
 
 
-_PLAIN = {"type": ["number", "string", "boolean", "null"]}
-#: JSON Schema of a flag: which numbers stand behind its sentence depends on its code.
-FLAG_SCHEMA: JsonSchema = {
-    "description": "A stable code, one plain sentence, and the numbers behind it as further members.",
-    "type": "object",
-    "properties": {
-        "code": {"enum": list(FLAGS)},
-        "message": {"type": "string", "minLength": 1, "description": "One plain sentence with its numbers"},
-    },
-    "required": ["code", "message"],
-    "additionalProperties": {"anyOf": [_PLAIN, {"type": "array", "items": _PLAIN}]},
-}
-
-
 _T = TypeVar("_T")
 
 

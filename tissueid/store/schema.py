@@ -12,7 +12,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
+from importlib import import_module, resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,15 +20,42 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from tissueid.documents.base import typed
-from tissueid.documents.schemas import LIST, ROOTS, kinds_of
 from tissueid.errors import BundleError
 
 if TYPE_CHECKING:
     from jsonschema.protocols import Validator
 
-#: Every schema, by the name :func:`load_schema` takes.
-SCHEMA_NAMES = tuple(ROOTS)
-
+#: Mark of a document that is a list.
+LIST = "*"
+#: Root type of every schema, by its name, as MODULE.TYPE of :mod:`tissueid.documents`; where several are
+#: given, a document is one of them, and those behind :data:`LIST` are its items.
+ROOTS: Mapping[str, str] = {
+    "bundle": "folder.Bundle",
+    "contrast": "contrast.Contrast",
+    "control": "control.Control",
+    "design": "design.Design",
+    "devices": "devices.List devices.Info devices.Home devices.Test devices.Force devices.Damping",
+    "flag": "base.Flag",
+    "frame": "folder.Frame",
+    "identification": "identification.Identification",
+    "inspect": "*inspect.Trial inspect.Refusal",
+    "measured": "measured.Measured",
+    "measured-contrast": "contrast.MeasuredContrast",
+    "outputs": "folder.Outputs",
+    "population": "population.Population",
+    "quantities": "quantities.Quoted quantities.Cycle quantities.Unloading quantities.UnloadingMiss",
+    "reproduction": "reproduction.Reproduction",
+    "rupture": "rupture.Rupture",
+    "scene": "scene.Scene",
+    "selfcheck": "selfcheck.SelfCheck",
+    "session": "session.Session",
+    "status": "folder.Status",
+    "study": "study.StudyFile",
+    "study-check": "study.StudyCheck",
+    "training": "session.Training",
+    "twin": "twin.Twin",
+    "watch": "inspect.Watch",
+}
 _LONGEST_MESSAGE = 300
 
 
@@ -41,6 +68,12 @@ class SchemaProblem:
 
     def __str__(self) -> str:
         return f"{self.pointer or '(document)'}: {self.message}"
+
+
+def kinds_of(name: str) -> list[type[Any]]:
+    """Types of which a document is one, or each element of it; ``name``: a key of :data:`ROOTS`."""
+    places = [one.rpartition(".") for one in ROOTS[name].removeprefix(LIST).split()]
+    return [getattr(import_module(f"tissueid.documents.{module}"), kind) for module, _, kind in places]
 
 
 def schema_folder() -> Traversable:
@@ -57,8 +90,8 @@ def schema_folder() -> Traversable:
 @cache
 def load_schema(name: str) -> Mapping[str, Any]:
     """Load one schema, by its name, as parsed JSON."""
-    if name not in SCHEMA_NAMES:
-        raise KeyError(f"there is no schema {name!r}; there are {', '.join(SCHEMA_NAMES)}")
+    if name not in ROOTS:
+        raise KeyError(f"there is no schema {name!r}; there are {', '.join(ROOTS)}")
     text = (schema_folder() / f"{name}.schema.json").read_text(encoding="utf-8")
     schema: dict[str, Any] = json.loads(text)
     return schema
