@@ -121,8 +121,7 @@ def _devices() -> Check:
     from tissueid.haptics.registry import choose_device, detect_all
 
     found = [f"{one.name} at {one.where}" + (f" ({one.note})" if one.note else "") for one in detect_all()]
-    words = f"{'; '.join(found) or 'none'}; {choose_device().why}"
-    return Check("devices", "ok", words)
+    return Check("devices", "ok", f"{'; '.join(found) or 'none'}; {choose_device().why}")
 
 
 def _page() -> Check:

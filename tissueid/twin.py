@@ -139,8 +139,7 @@ def _whole(time_s: FloatArray, depth_mm: FloatArray, words: str) -> Program:
     time, depth = time_s[rising], depth_mm[rising]
     first = int(np.argmax(depth > 0.0))
     share = -depth[first - 1] / (depth[first] - depth[first - 1])
-    contact = time[first - 1] + share * (time[first] - time[first - 1])
-    return Program(time, depth, float(contact), words)
+    return Program(time, depth, float(time[first - 1] + share * (time[first] - time[first - 1])), words)
 
 
 def _simplified(path: FloatArray, tolerance: float) -> FloatArray:

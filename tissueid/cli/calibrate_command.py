@@ -88,26 +88,15 @@ def command(flags: _CalibrateFlags) -> int:
         refuse("--phi is the correlation of --noise ar1: give both, or neither")
     with progress_bar(show=not flags.quiet) as progress:
         found = found_source(flags, progress)
-        check = tissue_check(
-            found.protocol,
-            _with_noise(found.centre, flags),
-            stated=found.stated,
-            defects=flags.interval == "total",
-        )
+        centre, defects = _with_noise(found.centre, flags), flags.interval == "total"
+        check = tissue_check(found.protocol, centre, stated=found.stated, defects=defects)
         out = made_folder(flags.out)
         refuse_foreign(out, _FILES[:2], _FILES[2], f"without the {_FILES[2]} they come from")
         digest = fingerprint({"check": described(check), "seed": flags.seed})
+        counts = {"simulations": flags.simulations, "seed": flags.seed}
         with Checkpoint(out / _FILES[2], digest) as checkpoint:
-            records = run_simulations(
-                check,
-                checkpoint,
-                simulations=flags.simulations,
-                seed=flags.seed,
-                workers=flags.workers,
-                progress=progress,
-            )
+            records = run_simulations(check, checkpoint, **counts, workers=flags.workers, progress=progress)
     source = Source(found.kind, flags.source, found.specimen)
-    counts = {"simulations": flags.simulations, "seed": flags.seed}
     written, verdict = check_document(source, found.protocol, check, records, **counts)
     document, read = checked(written, "selfcheck", SelfCheck, where=_FILES[0])
     write_file(out / _FILES[0], json_bytes(document))

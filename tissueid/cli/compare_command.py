@@ -135,13 +135,9 @@ def _tissues(path: Path, interval: str) -> list[tuple[Compared, list[Spread]]]:
     document, _, posteriors = read_results(str(path))
     stored = {one.specimen: one for one in posteriors}
     rows = {one.specimen: list(one.measured or ()) for one in document.specimens}
-    names = bundle_names(one.specimen for one in document.specimens)
     return [
-        (
-            _compared(load_bundle(path / file), stored.get(name) if interval == "total" else None, interval),
-            rows[name],
-        )
-        for name, file in names.items()
+        (_compared(load_bundle(path / file), stored.get(name), interval), rows[name])
+        for name, file in bundle_names(one.specimen for one in document.specimens).items()
     ]
 
 
@@ -149,7 +145,6 @@ def _compared(bundle: Bundle, stored: StoredPosterior | None, interval: str = "s
     from tissueid.contrast.decision import Compared
 
     bundle.require_renderable()
-    model = bundle.contact_model()
     draws = bundle.draws
     if interval == "total":
         draws = None if stored is None else stored.draws_total
@@ -157,7 +152,7 @@ def _compared(bundle: Bundle, stored: StoredPosterior | None, interval: str = "s
         kind = " with the machine's calibration" if interval == "total" else ""
         way_out = ", or --interval statistical" if bundle.draws is not None else ""
         refuse(f"{bundle.specimen}: there are no draws{kind}; fit with a sampler{way_out}")
-    logs = len(bundle.provenance.get("inputs", ())) or None
+    model, logs = bundle.contact_model(), len(bundle.provenance.get("inputs", ())) or None
     return Compared(bundle.specimen, model, draws, bundle.speeds_mm_s, total=interval == "total", logs=logs)
 
 

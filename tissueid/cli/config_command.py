@@ -234,8 +234,7 @@ def _from_table(
     options = settable(command)
     for key, value in table.items():
         if key not in options:
-            words = f"is no option of tissueid {' '.join(name)}"
-            refuse(_unknown(file, (*name, key), list(options), words))
+            refuse(_unknown(file, (*name, key), list(options), f"is no option of tissueid {' '.join(name)}"))
         found[*name, key] = _from_file(file, (*name, key), options[key], value)
     return found
 

@@ -190,11 +190,10 @@ def _asked(flags: _DesignFlags, machine: Machine, tissues: Tissues) -> Asked:
     ):  # fmt: skip
         if not 0.0 <= value < float("inf"):
             refuse(f"--{name} is {value}, must be 0 or above")
-    force = _positive(flags.max_force, "max-force")
     return Asked(
         wants=wants,
         max_depth_mm=_positive(flags.max_depth, "max-depth") or tissues.model.depth_mm,
-        max_force_N=min(force or machine.max_force_N, machine.max_force_N),
+        max_force_N=min(_positive(flags.max_force, "max-force") or machine.max_force_N, machine.max_force_N),
         budget_s=_time(flags.budget),
         recovery_s=flags.recovery,
         setup_s=flags.setup,
@@ -228,10 +227,9 @@ def _write(out: Path, plan: Plan, machine: Machine, tissues: Tissues, asked: Ask
     from tissueid.report.design_page import render_design
     from tissueid.store.files import time_now, write_file
 
-    title = f"Plan for {tissues.name}"
     texts = {
         "design.html": render_design(document, created=time_now()),
-        "study.toml": study_text(plan.best, machine, asked, title=title),
+        "study.toml": study_text(plan.best, machine, asked, title=f"Plan for {tissues.name}"),
         "test-sheet.csv": test_sheet(plan.best, asked),
     }
     (out / "recipe.toml").unlink(missing_ok=True)

@@ -167,7 +167,6 @@ tissueid devices test falcon
 tissueid devices emulate
 """
 
-GRAM = 1e-3
 #: Hands of the emulator; importing them would cost numpy.
 HANDS = ("step", "slow press", "tap", "release", "tremor", "hold")
 
@@ -282,7 +281,7 @@ def calibrate_force(flags: _CalibrateForceFlags) -> int:
     from tissueid.haptics.measure import weigh
 
     with homed_for_calibration(flags) as device:
-        found = weigh(device, flags.mass * GRAM, lambda: hang_mass(flags.mass, flags.quiet))
+        found = weigh(device, 1e-3 * flags.mass, lambda: hang_mass(flags.mass, flags.quiet))
     before = float(device.facts()["calibration"]["units_per_Nm"])
     units = before * found.ratio
     document = {**asdict(found), "units_per_Nm": units, "units_per_Nm_before": before}

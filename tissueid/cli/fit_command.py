@@ -216,8 +216,7 @@ def _checked(flags: _FitFlags) -> _FitFlags:
         refuse(f"{said[0]} is of a sampler, and --sampler none takes no draws: leave one of them out")
     if flags.population == "no" and flags.mix_states:
         refuse("--mix-states is of a population, and --population no makes none: leave one of them out")
-    others = laws.paper is None or laws.choose
-    if others and flags.unloading:
+    if flags.unloading and (laws.paper is None or laws.choose):
         refuse(f"--unloading follows the surface of a kelvin-voigt model, not of {flags.model!r}")
     if laws.paper is not None and laws.paper.branches is None:
         return flags

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from tissueid.cli.completion_command import readers
 from tissueid.cli.flags import PATH, Flags, option
@@ -117,16 +117,10 @@ def recorded_options(said: Mapping[str, str | None]) -> ReadOptions:
     """Options of reading as a run recorded them, by the names of its flags."""
     from tissueid.ingest import ReadOptions
 
-    return ReadOptions(
-        columns=_pairs(said.get("columns"), "--columns"),
-        units=_pairs(said.get("units"), "--units"),
-        axes=_pairs(said.get("axes"), "--axes"),
-        specimen_by=said.get("specimen_by"),
-        recipe=said.get("recipe"),
-        sheet=said.get("sheet"),
-        delimiter=DELIMITERS.get(said.get("delimiter") or ""),
-        decimal=DECIMALS.get(said.get("decimal") or ""),
-    )
+    asked: dict[str, Any] = {key: said.get(key) for key in ("specimen_by", "recipe", "sheet")}
+    asked |= {key: _pairs(said.get(key), f"--{key}") for key in ("columns", "units", "axes")}
+    delimiter, decimal = (said.get(key) or "" for key in ("delimiter", "decimal"))
+    return ReadOptions(**asked, delimiter=DELIMITERS.get(delimiter), decimal=DECIMALS.get(decimal))
 
 
 def segment_options(flags: ReadingFlags) -> SegmentOptions:
@@ -201,8 +195,7 @@ def read_in_order(
             yield one
             continue
         path, sheet = one
-        own = options if sheet is None else replace(options, sheet=sheet)
-        for item in read_decided(path, own, study):
+        for item in read_decided(path, options if sheet is None else replace(options, sheet=sheet), study):
             if isinstance(item, InputError):
                 yield Refusal.of(item)
             else:
@@ -244,14 +237,13 @@ class PatternCheck:
             count = "1 recording" if self._stated == 1 else f"{self._stated} recordings"
             message = f"{self._study.path} names the specimen of {count}: --specimen-by does not apply there"
             echo(f"note: {message}", fg="yellow", err=True)
-        warnings = list(reader_faults())
+        warnings = []
         if self._missed:
             shown = ", ".join(self._missed[:FEW_NAMES]) + (" ..." if len(self._missed) > FEW_NAMES else "")
             if self._named == 0 and not self._stated:
                 refuse(f"--specimen-by {self._pattern!r} fits no recording: it was tried on {shown}")
-            unlike = f"--specimen-by {self._pattern!r} does not fit {shown}: each is its own specimen"
-            warnings.insert(0, unlike)
-        for warning in warnings:
+            warnings.append(f"--specimen-by {self._pattern!r} does not fit {shown}: each is its own specimen")
+        for warning in (*warnings, *reader_faults()):
             echo(f"warning: {warning}", fg="yellow", err=True)
 
 

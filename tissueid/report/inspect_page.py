@@ -62,14 +62,8 @@ def drawn_recording(trial: Trial, segmentation: Segmentation) -> DrawnRecording:
         (phase.kind, int(first), int(last))
         for phase, (first, last) in zip(segmentation.phases, places.reshape(-1, 2), strict=True)
     )
-    return DrawnRecording(
-        trial.time_s[index],
-        x[index],
-        force[index],
-        np.isin(index, fixed),
-        phases,
-        _marks(trial, segmentation),
-    )
+    time, kept = trial.time_s[index], np.isin(index, fixed)
+    return DrawnRecording(time, x[index], force[index], kept, phases, _marks(trial, segmentation))
 
 
 def _marks(trial: Trial, segmentation: Segmentation) -> dict[str, Any]:
@@ -193,8 +187,7 @@ class InspectedRecording:
     @property
     def level(self) -> str:
         """The gravest level among its flags."""
-        levels = [flag_level(flag.code) for flag in self.document.flags]
-        return max(levels, key=LEVELS.index, default="ok")
+        return max((flag_level(one.code) for one in self.document.flags), key=LEVELS.index, default="ok")
 
 
 def inspected_recording(

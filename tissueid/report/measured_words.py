@@ -83,8 +83,7 @@ def _columns(rows: Sequence[Spread], units: Units) -> list[_Column]:
         held = len({hold for program, hold in places if program == place[0] and hold}) > 1
         name = f"Hold {place[1]}" if held and place[1] else "" if several else "Value"
         program = _program_words(found, units, count) if several else _ramps(own)
-        head = ", ".join(part for part in (name, program) if part)
-        columns.append(_Column(head, count, found))
+        columns.append(_Column(", ".join(filter(None, (name, program))), count, found))
     return columns
 
 

@@ -47,8 +47,7 @@ def _cell(entry: Measure | Quantity | None, *, percent: bool = False) -> str:
     if entry is None or entry.value is None:
         return NONE
     factor = 100.0 if percent else 1.0
-    stderr = None if entry.stderr is None else factor * entry.stderr
-    return with_error(factor * entry.value, stderr)
+    return with_error(factor * entry.value, None if entry.stderr is None else factor * entry.stderr)
 
 
 def _find(entries: Sequence[Quantity], name: str, **at: Any) -> Quantity | None:
@@ -129,10 +128,9 @@ def _moduli(quoted: Quoted) -> Table | None:
     moduli = quoted.moduli
     if not moduli:
         return None
-    places = dict.fromkeys((entry.at.formula, entry.at.depth_mm) for entry in moduli)
     at = [
         (f"{str(formula).capitalize()}, {number(depth, 3)} mm", {"formula": formula, "depth_mm": depth})
-        for formula, depth in places
+        for formula, depth in dict.fromkeys((entry.at.formula, entry.at.depth_mm) for entry in moduli)
     ]
     rows, reasons = _rows(moduli, ("modulus_equilibrium", "modulus_instantaneous"), at)
     known = quoted.assumptions

@@ -54,13 +54,12 @@ def _device(row: RenderedDevice | RefusedDevice, depth_mm: float) -> dict[str, A
     if isinstance(row, RefusedDevice):
         return {"name": row.name, "refused": row.why, "remarks": ()}
     scale, fastest = row.scale, number(row.fastest_hand_mm_s, 3)
-    damping = number(scale.device_damping_N_s_per_m, 2)
     cells = [
         f"measured / {number(scale.felt_force_is_measured_over, 3)}",
         f"measured / {number(scale.felt_stiffness_is_measured_over, 3)}",
         f"× {scale.motion_scale:g}",
         f"{number(scale.peak_force_N, 3)} of {number(scale.clamp_N, 3)} N",
-        f"{number(scale.required_damping_N_s_per_m, 2)} of {damping} N·s/m",
+        f"{number(scale.required_damping_N_s_per_m, 2)} of {number(scale.device_damping_N_s_per_m, 2)} N·s/m",
         f"{100 * (scale.clipped_share_expected or 0.0):.0f} %",
         f"{100 * row.outside_share:.0f} %",
         f"{fastest} mm/s",

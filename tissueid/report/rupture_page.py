@@ -83,10 +83,9 @@ def _reached(document: Rupture) -> Figure:
 
 def render_rupture(document: Rupture, *, created: str | None = None) -> str:
     """Write the page."""
-    ruptured = sum(one.ruptured for one in document.tests)
     return render_page(
         "rupture",
-        title=f"Rupture in {ruptured} of {len(document.tests)} tests",
+        title=f"Rupture in {sum(one.ruptured for one in document.tests)} of {len(document.tests)} tests",
         run=document,
         verdict=_verdict(document),
         remarks=flag_remarks(document.flags),

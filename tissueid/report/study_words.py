@@ -57,8 +57,7 @@ def frame_words(calibration: Calibration) -> str:
     if frame is None:
         return "Machine and fixture were taken as rigid: no frame stiffness was stated."
     if frame.range_N is None:
-        sd = calibration.frame_stiffness_N_per_mm_sd
-        stiffness = with_error(calibration.frame_stiffness_N_per_mm, sd)
+        stiffness = with_error(calibration.frame_stiffness_N_per_mm, calibration.frame_stiffness_N_per_mm_sd)
         return f"A frame of {stiffness} N/mm, as stated, was taken off the displacement."
     low, high = frame.range_N
     return (

@@ -186,10 +186,9 @@ def _noise_sentence(specimen: Specimen) -> str:
     if noise.model == "white" or not noise.phi:
         return f"Noise of the force: white, {size}: each sample errs on its own."
     kind = "correlated (AR(1))" if noise.model == "ar1" else "white and correlated (AR(1)) together"
-    step = number(noise.reference_step_s, 3)
     return (
         f"Noise of the force: {kind}, {size} in all; the correlated part keeps {noise.phi:.3g} of itself "
-        f"over {step} s."
+        f"over {number(noise.reference_step_s, 3)} s."
     )
 
 

@@ -127,8 +127,7 @@ _GREEK: Mapping[str, str] = {"tau": "τ", "eta": "η"}
 def symbol_words(symbol: str) -> Markup:
     """A symbol as it is typeset: ``tau2`` is a Greek letter with a 2 below it."""
     name, index = re.fullmatch(r"(\D*)(.*)", symbol, re.DOTALL).groups()  # type: ignore[union-attr]
-    letter = _GREEK.get(name, name)
-    return escape(letter) + (Markup("<sub>{}</sub>").format(index) if index else "")
+    return escape(_GREEK.get(name, name)) + (Markup("<sub>{}</sub>").format(index) if index else "")
 
 
 def parameter_words(name: str) -> str:
@@ -361,8 +360,7 @@ def tissue_sentence(specimen: Specimen) -> str:
         *_dynamic_words(known, branches, interval),
     ]
     listed = _listed(parts, last=", and " if branches[1:] or interval else " and ")
-    valid = _valid_words(specimen.validity, normalised=normalised)
-    return f"{listed[0].upper()}{listed[1:]}{told}; {valid}."
+    return f"{listed[0].upper()}{listed[1:]}{told}; {_valid_words(specimen.validity, normalised=normalised)}."
 
 
 def overview_sentence(specimens: Sequence[Specimen]) -> str:

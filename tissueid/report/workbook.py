@@ -118,8 +118,7 @@ def _tidy(document: Identification, name: str, title: str, digest: str | None) -
     kept = [
         column for column in table.columns if any(row.get(column) not in (None, [], "") for row in table.rows)
     ]
-    rows = [[_cell(row.get(column)) for column in kept] for row in table.rows]
-    return Sheet(title, tuple(kept), rows)
+    return Sheet(title, tuple(kept), [[_cell(row.get(column)) for column in kept] for row in table.rows])
 
 
 def _cell(value: Any) -> Cell:

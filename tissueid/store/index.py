@@ -93,13 +93,12 @@ class JobRow:
 class Index(AbstractContextManager["Index"]):
     """The index of an output folder, open for writing.
 
-    ``out``: output folder, whose lock the caller holds.  ``remark``: what others must do without on this file
-    system.  Raises BundleError: the file is of another schema version, or this file system can't hold it.
+    ``out``: output folder, whose lock the caller holds.  Raises BundleError: the file is of another schema
+    version, or this file system can't hold it.
     """
 
     def __init__(self, out: Path) -> None:
         self.path = out / INDEX
-        self.remark: str | None = None
         self._run = 0
         try:
             self._open()
@@ -109,18 +108,13 @@ class Index(AbstractContextManager["Index"]):
             # cut or overwritten: it is a memory only, so a new one is begun
             for suffix in ("", "-wal", "-shm"):
                 self.path.with_name(self.path.name + suffix).unlink(missing_ok=True)
-            self.remark = f"{self.path} was damaged ({error}) and is begun anew"
             self._open()
 
     def _open(self) -> None:
         self._database = sqlite3.connect(self.path, timeout=_BUSY_S, isolation_level=None)
         self._database.row_factory = sqlite3.Row
-        mode = self._database.execute("PRAGMA journal_mode=WAL").fetchone()[0]
-        if mode != "wal":
-            self.remark = (
-                f"{self.path}: this file system can't share memory between processes (journal mode {mode}); "
-                "`tissueid status` waits for the writer at times"
-            )
+        # where the file system shares no memory between processes, readers wait for the writer at times
+        self._database.execute("PRAGMA journal_mode=WAL")
         # a commit survives a killed process; a crash of the machine may lose the last ones, not the file
         self._database.execute("PRAGMA synchronous=NORMAL")
         version = self._database.execute("PRAGMA user_version").fetchone()[0]

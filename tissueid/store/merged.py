@@ -141,8 +141,7 @@ def list_specimens(rows: Iterable[ListedSpecimen], stream: IO[str]) -> None:
     writer = csv.writer(stream)
     writer.writerow(_COLUMNS)
     for row in rows:
-        fitted = "TRUE" if row.fitted else "FALSE"
-        writer.writerow((row.specimen, row.file, fitted, row.sha256, row.bytes))
+        writer.writerow((row.specimen, row.file, "TRUE" if row.fitted else "FALSE", row.sha256, row.bytes))
 
 
 def read_listed(path: Path) -> Iterator[ListedSpecimen]:

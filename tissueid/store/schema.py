@@ -92,8 +92,7 @@ def load_schema(name: str) -> Mapping[str, Any]:
     """Load one schema, by its name, as parsed JSON."""
     if name not in ROOTS:
         raise KeyError(f"there is no schema {name!r}; there are {', '.join(ROOTS)}")
-    text = (schema_folder() / f"{name}.schema.json").read_text(encoding="utf-8")
-    schema: dict[str, Any] = json.loads(text)
+    schema: dict[str, Any] = json.loads((schema_folder() / f"{name}.schema.json").read_bytes())
     return schema
 
 

@@ -80,8 +80,7 @@ def tidy_table(document: Identification, name: str, *, digest: str | None = None
     if name == "specimens":
         columns = _specimen_columns(document)
     provenance = {"tissueid": document.provenance.tissueid, "identification_sha256": digest}
-    found = [{**row, **provenance} for row in rows(document)]
-    return TidyTable((*columns, *provenance), tuple(found))
+    return TidyTable((*columns, *provenance), tuple({**row, **provenance} for row in rows(document)))
 
 
 def csv_bytes(table: TidyTable) -> bytes:
@@ -213,12 +212,11 @@ def _trial_rows(document: Identification) -> Iterator[Row]:
     for specimen in document.specimens:
         for trial in specimen.trials:
             own = [hold for hold in specimen.relaxation if _place(hold) == _place(trial)]
-            loops = sum(_place(loop) == _place(trial) for loop in specimen.cycles)
             yield {
                 **row(trial, specimen.specimen, "fitted"),
                 **{key: getattr(trial, key) for key in _TRIAL_FIT},
                 **_longest_hold(own),
-                "cycles": loops,
+                "cycles": sum(_place(loop) == _place(trial) for loop in specimen.cycles),
                 "flags": _codes(trial.flags, *(hold.flags for hold in own)),
             }
     for one in document.study.exclusions if document.study else ():

@@ -104,8 +104,7 @@ class _Assembly:
             return stack.enter_context(JsonList(level))
 
         self.out, self.index = run.out, index
-        jobs = index.count("done") + index.count("failed")
-        self.found = Assembled(run.path(IDENTIFICATION), jobs=jobs)
+        self.found = Assembled(run.path(IDENTIFICATION), jobs=index.count("done") + index.count("failed"))
         self.specimens, self.refused, self.cycles = new(2), new(2), new(2)
         self.trials, self.exclusions, self.inputs = new(3), new(3), new(3)
         self.names: list[str] = []
@@ -205,8 +204,7 @@ def _refusals_of_readers(index: Index, study: Study | None) -> tuple[list[Refusa
     def never(*_: Any) -> Any:
         raise AssertionError
 
-    rows = exclusion_rows(collected, {}, (), IdentifyOptions().fit, never)
-    return kept, [plain(row) for row in rows]
+    return kept, [plain(row) for row in exclusion_rows(collected, {}, (), IdentifyOptions().fit, never)]
 
 
 def _check_frame(document: Mapping[str, Any]) -> None:
@@ -360,8 +358,7 @@ class _Cohort:
                 if row.kind in {"trial", "excluded"} and row.specimen not in names:
                     if names:
                         raise _SeveralSpecimensError
-                    source = Source(path=row.path, sheet=row.sheet)
-                    names.update(display_names([(row.specimen, source)]))
+                    names.update(display_names([(row.specimen, Source(path=row.path, sheet=row.sheet))]))
                 yield item
             inventory.put_down(file, found)
         self.request.all_read()
@@ -489,5 +486,4 @@ class _Cohort:
         fault = outcome.fault or Fault("job_failed", "no reason is known")
         _, path, sheet = self.specimens[job.position]
         message = f"specimen {job.specimen!r} could not be fitted: {fault.message}"
-        refusal = Refusal(path, sheet, fault.code, message)
-        self.index.fail(job.position, json.dumps(asdict(refusal)))
+        self.index.fail(job.position, json.dumps(asdict(Refusal(path, sheet, fault.code, message))))

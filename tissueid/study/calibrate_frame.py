@@ -177,8 +177,7 @@ def calibrate_frame(trials: Sequence[Trial]) -> dict[str, Any]:
     repeatability, measured = _repeatability(parts, compliance)
     covariance = _noise_covariance(parts, compliance, residual) + repeatability
     frame = FrameCurve(knots, compliance, covariance)
-    at = np.array([top])
-    scatter = float(deflection_sd(FrameCurve(knots, compliance, repeatability), at)[0])
+    scatter = float(deflection_sd(FrameCurve(knots, compliance, repeatability), np.array([top]))[0])
     give = deflection(frame, np.array([top / 2.0, top]))
     stiffness = (top / 2.0) / max(float(give[1] - give[0]), top / 2.0 / STIFFEST_N_PER_MM)
     if stiffness < SOFTEST_N_PER_MM:

@@ -187,8 +187,7 @@ class CorrectedInspection:
             if value is None and (by_hand := _deciding(study, str(key), known.path, known.sheet)):
                 said = f"line {by_hand[-1].line} of {MANIFEST} still says {key}"
                 refuse(f"{said}: it was written by hand, so change it there")
-            trial = read_decided_one(known.path, known.sheet, self._reading, study)
-            drawn = inspection.remade(trial, study)
+            drawn = inspection.remade(read_decided_one(known.path, known.sheet, self._reading, study), study)
             try:
                 write_file(self.manifest, content)
             except OSError as error:

@@ -90,8 +90,7 @@ class Anonymiser:
 
 def _names(study: Study) -> Iterable[str]:
     """Every name in the study that must not turn up elsewhere."""
-    tables = [study.about, *study.specimens.values()]
-    for table in tables:
+    for table in (study.about, *study.specimens.values()):
         for key in ("operator", "laboratory", "donor", "name", "ethics"):
             if len(str(table.get(key, ""))) >= _SHORTEST_NAME:
                 yield str(table[key])

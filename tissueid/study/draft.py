@@ -337,9 +337,8 @@ def draft_study(folder: Path, trials: Sequence[Trial], refused: Sequence[Refusal
     lines += protocols
     root = os.path.realpath(folder)
     for i, trial in enumerate(trials):
-        file = Path(os.path.relpath(os.path.realpath(trial.source.path), root)).as_posix()
         stated = {
-            "file": file,
+            "file": Path(os.path.relpath(os.path.realpath(trial.source.path), root)).as_posix(),
             "sheet": trial.source.sheet,
             "specimen": names[trial.specimen],
             "protocol": of_trial.get(i),

@@ -110,8 +110,7 @@ def include(trial: str, *, manifest: Path) -> str:
     tables: Any = document.get("exclude", [])
     own = [i for i, entry in enumerate(tables) if _is(entry, file, sheet)]
     if not own:
-        decision = study.decision(str(manifest.parent / file), sheet)
-        if decision.excluded is None:
+        if study.decision(str(manifest.parent / file), sheet).excluded is None:
             refuse(f"{trial} is not excluded in {manifest}")
         real = study.real_path(str(manifest.parent / file))
         line = next(entry.line for entry in study.exclusions if entry.names(real, sheet))

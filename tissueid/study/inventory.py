@@ -159,8 +159,7 @@ def reading_key(options: ReadOptions, study: Study | None) -> str:
             if any(key in entry.values for key in READING)
         ]
     asked = {name: getattr(options, name) for name in sorted(options.__dataclass_fields__)}
-    text = json_bytes({"asked": asked, "said": said, "versions": versions()})
-    return hashlib.sha256(text).hexdigest()[:32]
+    return hashlib.sha256(json_bytes({"asked": asked, "said": said, "versions": versions()})).hexdigest()[:32]
 
 
 def decided_row(row: RecordingRow, study: Study | None) -> RecordingRow:

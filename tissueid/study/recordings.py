@@ -40,8 +40,7 @@ def locate_study(
     for path in paths:
         name = picked_sheet(path)[0]
         folder = name if Path(name).is_dir() else os.path.dirname(name)  # noqa: PTH120 -- kept as typed
-        beside = os.path.join(folder, MANIFEST)  # noqa: PTH118 -- kept as typed
-        file = path if path in manifests else beside
+        file = path if path in manifests else os.path.join(folder, MANIFEST)  # noqa: PTH118 -- kept as typed
         if path in manifests or Path(file).is_file():
             found.setdefault(os.path.realpath(file), file)
     if named and len({os.path.realpath(file) for file in found.values()}) == 1:
@@ -78,10 +77,9 @@ def _picked(paths: Sequence[str]) -> dict[str, set[str]]:
 def _to_read(study: Study, paths: Sequence[str], manifest_named: bool) -> tuple[str, ...]:
     """Listed files before the folder they are in; the folder itself unless only listed files count."""
     folder = str(Path(study.path).parent)
-    whole = manifest_named or any(os.path.realpath(path) == os.path.realpath(folder) for path in paths)
-    if not whole:
-        return tuple(paths)
     others = [path for path in paths if os.path.realpath(path) != os.path.realpath(folder)]
+    if not manifest_named and len(others) == len(paths):
+        return tuple(paths)
     listed = listed_files(study)
     if study.only_listed or not _holds_recordings(folder):
         return tuple(dict.fromkeys([*listed, *others]))

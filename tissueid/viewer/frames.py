@@ -178,8 +178,7 @@ class LiveFeed:
         records, overrun = self._reader.read_new()
         new = samples_of(records[-KEPT:])
         self.published += records.size + overrun
-        slots = np.arange(self.published - new.size, self.published) % KEPT
-        self._kept[slots] = new
+        self._kept[np.arange(self.published - new.size, self.published) % KEPT] = new
         return int(records.size)
 
     def between(self, first: int, end: int) -> RecordArray:

@@ -259,12 +259,11 @@ def _short(value: float) -> str:
 def _objects(head: Mapping[str, Any], workspace_m: Workspace) -> list[dict[str, Any]]:
     """Surface, tool and workspace [m, device frame]."""
     kind, numbers = int(head["surface"][0]), [float(value) for value in head["surface"]]
-    radius_m = numbers[10]
     objects: list[dict[str, Any]] = [
         {"kind": "workspace", "ranges_m": [[float(low), float(high)] for low, high in workspace_m]},
         {
             "kind": "tool",
-            "radius_m": radius_m,
+            "radius_m": numbers[10],
             "force_field": "force_N",
             "position_field": "position_m",
             **head["tissues"][0].get("tip", plain(TipGeometry("sphere", None))),

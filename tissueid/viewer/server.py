@@ -273,8 +273,7 @@ async def _serve_client(websocket: WebSocket, stage: Stage) -> None:
 
 async def _send(websocket: WebSocket, stage: Stage) -> None:
     """Hello, then frames as the client can take them."""
-    source = await stage.source()
-    websocket.state.client = client = Client(source)
+    websocket.state.client = client = Client(await stage.source())
     told = 0
     # gone while it was sent to: the hearing side ends the client
     with suppress(WebSocketDisconnect, RuntimeError):

@@ -111,8 +111,7 @@ class ServedViewer(AbstractContextManager["ServedViewer"]):
         workspace_m: list[list[float]],
     ) -> None:
         """Show a servo: a ring to be read and, where a page may lead it, the simulated hand."""
-        words = {"hello": hello, "rest_m": rest_m, "workspace_m": workspace_m}
-        self._send({"live": words}, descriptors)
+        self._send({"live": {"hello": hello, "rest_m": rest_m, "workspace_m": workspace_m}}, descriptors)
 
     def show_log(self, hello: Mapping[str, Any], path: Path) -> None:
         """Play a log."""
@@ -230,8 +229,7 @@ def reach(what: str, token: str | None) -> str:
             return url
     except urllib.error.HTTPError as error:
         words = error.read(300).decode("utf-8", "replace").strip().splitlines()
-        why = printable(words[0]) if words else error.reason
-        refuse(f"{printable(what)}: {why}")
+        refuse(f"{printable(what)}: {printable(words[0]) if words else error.reason}")
     except (urllib.error.URLError, OSError, ValueError) as error:
         reason = getattr(error, "reason", error)
         refuse(
