@@ -18,7 +18,7 @@ from tissueid.manifest import Study
 from tissueid.measured.geometry import Geometry
 from tissueid.model.moduli import Indenter
 from tissueid.pipeline import IdentifyOptions, identify
-from tissueid.report import render_report
+from tissueid.report.page import render_report
 from tissueid.segment import SegmentOptions
 from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
 from tissueid.store.curves import curves_of_fits

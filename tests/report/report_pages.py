@@ -12,7 +12,7 @@ from fit_factory import identification
 from typed_call import typed_call
 
 from tissueid.documents import plain
-from tissueid.report import render_report
+from tissueid.report.page import render_report
 from tissueid.result import SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.posteriors import posteriors_of_fits

@@ -25,9 +25,14 @@ from tissueid.documents import plain
 from tissueid.flags import Flag
 from tissueid.ingest.manifest import read_study
 from tissueid.inspection import describe_segmented
-from tissueid.report import inspected_recording, render_inspection
 from tissueid.report.inspect_decisions import UNIT_TO_WRITE, Decision, decisions, toml_value
-from tissueid.report.inspect_page import MOST_DRAWN, InspectedRecording, drawn_recording
+from tissueid.report.inspect_page import (
+    MOST_DRAWN,
+    InspectedRecording,
+    drawn_recording,
+    inspected_recording,
+    render_inspection,
+)
 from tissueid.result import Refusal
 from tissueid.segment import segment
 from tissueid.store.schema import first_problem

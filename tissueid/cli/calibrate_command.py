@@ -16,6 +16,8 @@ from tissueid.cli.synth_command import check_rate
 from tissueid.documents.folder import Frame
 from tissueid.documents.selfcheck import Prior, SelfCheck, Source
 from tissueid.errors import InputError, NotIdentifiedError, UsageError, refuse
+from tissueid.report.wording import counted
+from tissueid.store.files import json_bytes, time_now, write_file
 
 if TYPE_CHECKING:
     from tissueid.collection import Progress
@@ -82,7 +84,6 @@ def command(flags: _CalibrateFlags) -> int:
     from tissueid.selfcheck.records import Checkpoint, fingerprint, run_simulations
     from tissueid.selfcheck.tissue import described, tissue_check
     from tissueid.selfcheck.verdicts import check_document
-    from tissueid.store.files import json_bytes, time_now, write_file
 
     if flags.phi is not None and flags.noise != "ar1":
         refuse("--phi is the correlation of --noise ar1: give both, or neither")
@@ -122,8 +123,6 @@ def _with_noise(centre: Centre, flags: _CalibrateFlags) -> Centre:
 def _lines(
     check: TissueCheck, priors: Sequence[Prior], protocol: Protocol, verdict: Verdict, out: str
 ) -> Iterator[str]:
-    from tissueid.report.wording import counted
-
     yield (
         f"{protocol.words}: {counted(len(protocol.logs), 'log')}, "
         f"{protocol.samples:,} samples; {check.noise_model} noise; {verdict.simulations} simulations"
@@ -273,7 +272,6 @@ def calibrate_frame(flags: _CalibrateFrameFlags) -> int:
     show how repeatable the frame is. fit takes the deflection off the displacement where study.toml names
     the file, under [calibration]: frame = "frame.json".
     """
-    from tissueid.store.files import json_bytes
     from tissueid.study.calibrate_frame import calibrate_frame as measured_frame
 
     trials = list(read_all(flags.paths, read_options(flags)))
@@ -285,8 +283,6 @@ def calibrate_frame(flags: _CalibrateFrameFlags) -> int:
 
 
 def _frame_lines(document: Frame) -> Iterator[str]:
-    from tissueid.report.wording import counted
-
     top = document.range_N[1]
     yield f"{counted(document.loadings, 'loading')} to {top:.4g} N"
     yield f"stiffness above {top / 2:.3g} N: {document.stiffness_N_per_mm:.4g} N/mm"

@@ -18,6 +18,8 @@ from tissueid.digits import with_error
 from tissueid.documents import plain, typed
 from tissueid.documents.contrast import Contrast, MeasuredContrast, MeasuredNumber, MeasuredPair
 from tissueid.errors import UsageError, refuse
+from tissueid.result import Refusal, in_units
+from tissueid.store.files import bundle_names, json_bytes, time_now
 
 if TYPE_CHECKING:
     from tissueid.contrast.decision import Compared
@@ -113,7 +115,6 @@ def _named(output: str) -> Path:
 def _write(written: Any, document: Contrast, target: Path, *, quiet: int) -> None:
     """Write document and page, both or with a message that names what is in the way."""
     from tissueid.report.contrast_page import render_contrast
-    from tissueid.store.files import json_bytes, time_now
 
     page = render_contrast(document, created=time_now())
     write_output(target, json_bytes(written))
@@ -129,7 +130,6 @@ def _tissues(path: Path, interval: str) -> list[tuple[Compared, list[Spread]]]:
         if interval == "total":
             refuse(f"{path}: a bundle holds no draws with the machine's calibration; name the output folder")
         return [(_compared(load_bundle(path), None), [])]
-    from tissueid.store.files import bundle_names
     from tissueid.store.results import read_results
 
     document, _, posteriors = read_results(str(path))
@@ -201,8 +201,6 @@ def _is_fit(path: Path) -> bool:
 def compare_recordings(flags: _CompareFlags) -> int:
     """Say what recordings showed beside each other, no model: each path is one side."""
     from tissueid.measured.spread import measured_pairs
-    from tissueid.result import in_units
-    from tissueid.store.files import json_bytes
 
     if len(flags.paths) < 2:
         refuse("one side is nothing to compare: name a second recording or folder")
@@ -230,7 +228,6 @@ def _measured(path: str, flags: _CompareFlags, seen: dict[Axes, str]) -> Sequenc
     """Measured pushes of the recordings of one path; their axes, and a file of each, go into ``seen``."""
     from tissueid.inspection import measured_of, segmented
     from tissueid.measured import spread
-    from tissueid.result import Refusal
 
     options = segment_options(flags)
     found = []

@@ -24,6 +24,7 @@ from tissueid.cli.output import (
 from tissueid.documents.design import Design, Protocol
 from tissueid.errors import NotIdentifiedError, refuse
 from tissueid.report.wording import time_words
+from tissueid.store.files import json_bytes, time_now, write_file
 
 if TYPE_CHECKING:
     from tissueid.design.machine import Machine
@@ -105,7 +106,6 @@ def command(flags: _DesignFlags) -> int:
     """
     from tissueid.design.document import design_document
     from tissueid.design.plan import planned
-    from tissueid.store.files import json_bytes, write_file
 
     machine, tissues, asked, given = _prepared(flags)
     out = None
@@ -225,7 +225,6 @@ def _write(out: Path, plan: Plan, machine: Machine, tissues: Tissues, asked: Ask
     """All files of the plan but design.json."""
     from tissueid.design.document import has_recipe, recipe_text, study_text, test_sheet
     from tissueid.report.design_page import render_design
-    from tissueid.store.files import time_now, write_file
 
     texts = {
         "design.html": render_design(document, created=time_now()),

@@ -22,10 +22,11 @@ from tissueid.documents.inspect import Trial, Watch
 from tissueid.documents.measured import MeasuredHold, MeasuredPush
 from tissueid.errors import exit_code, printable, refuse
 from tissueid.flags import FLAGS, harm_rank
+from tissueid.report.wording import event_words, took, whole_label
+from tissueid.result import Refusal
+from tissueid.store.xlsx import Cell, Sheet, xlsx_bytes
 
 if TYPE_CHECKING:
-    from tissueid.result import Refusal
-    from tissueid.store.xlsx import Cell
     from tissueid.study.inspected import Inspection
 
 SECONDS_PER_MINUTE = 60.0
@@ -83,7 +84,6 @@ def command(flags: _InspectFlags) -> int:
 
 def inspected(flags: _InspectFlags, *, drawn: bool) -> Inspection:
     """Everything that the command line names, by the study file as it stands."""
-    from tissueid.result import Refusal
     from tissueid.study.inspected import Inspection, study_folder
     from tissueid.study.recordings import locate_study
 
@@ -99,8 +99,6 @@ def inspected(flags: _InspectFlags, *, drawn: bool) -> Inspection:
 
 def print_all(described: list[Trial | Refusal], *, quiet: int, verbose: int) -> None:
     """A line a recording, its block with -v, and how many are to be looked at."""
-    from tissueid.result import Refusal
-
     read = [one for one in described if not isinstance(one, Refusal)]
     named = iter(names_of(read))
     for one in described:
@@ -158,8 +156,6 @@ def _print(one: Trial) -> None:
 
 def _print_course(one: Trial, start_s: float) -> None:
     """Phases, the stops between them, and events."""
-    from tissueid.report.wording import event_words, took
-
     length = one.units.length
     for phase in one.phases:
         line = f"  {phase.kind:<11} {phase.start_s - start_s:.6g} to {phase.end_s - start_s:.6g} s"
@@ -195,8 +191,6 @@ MOST_SHARED = 5
 
 def names_of(described: Sequence[Trial]) -> list[tuple[str, str]]:
     """Heading, empty but before the first of several sheets of a file, and name of every recording."""
-    from tissueid.report.wording import whole_label
-
     folders = {os.path.dirname(one.path) for one in described}  # noqa: PTH120 -- paths as they were typed
     apart = len(described) < 2 or "" in folders or len({Path(one).is_absolute() for one in folders}) > 1
     folder = "" if apart else os.path.join(os.path.commonpath(folders), "")  # noqa: PTH118
@@ -398,6 +392,4 @@ def measured_csv(described: Sequence[Trial]) -> bytes:
 
 def measured_xlsx(described: Sequence[Trial]) -> bytes:
     """The table as a workbook."""
-    from tissueid.store.xlsx import Sheet, xlsx_bytes
-
     return xlsx_bytes([Sheet("measured", HEAD, measured_rows(described))])

@@ -13,11 +13,11 @@ from tissueid.cli.completion_command import readers
 from tissueid.cli.flags import PATH, Flags, option
 from tissueid.cli.output import echo
 from tissueid.errors import InputError, refuse
+from tissueid.result import Refusal
 
 if TYPE_CHECKING:
     from tissueid.ingest import ReadOptions
     from tissueid.manifest import Study
-    from tissueid.result import Refusal
     from tissueid.segment import SegmentOptions
     from tissueid.study.recordings import FileList, Named
     from tissueid.trial import Trial
@@ -172,7 +172,6 @@ def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> FileL
 
 def _each_or_refusal(name: str, sheet: str | None) -> Iterator[Named | Refusal]:
     from tissueid.ingest import each_input
-    from tissueid.result import Refusal
 
     try:
         for file in each_input([name]):
@@ -186,7 +185,6 @@ def read_in_order(
     paths: tuple[str, ...], options: ReadOptions, study: Study | None = None
 ) -> Iterator[Trial | Refusal]:
     """Trials of all paths, one at a time, as a study decides; refusals stand where something was refused."""
-    from tissueid.result import Refusal
     from tissueid.study.recordings import read_decided
 
     by_pattern = PatternCheck(options.specimen_by, study)
@@ -254,8 +252,6 @@ def read_all(
     refused: list[Refusal] | None = None,
 ) -> Iterator[Trial]:
     """The trials of all paths; refusals go to ``refused``, the first is raised where nothing takes them."""
-    from tissueid.result import Refusal
-
     for item in read_in_order(paths, options, study):
         if not isinstance(item, Refusal):
             yield item

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -23,9 +22,7 @@ from tissueid.cli.output import EXIT_INCOMPLETE, echo, echo_json, note, refusing
 from tissueid.cli.reading import ReadingFlags, read_all, read_options
 from tissueid.documents import plain
 from tissueid.errors import refuse
-
-if TYPE_CHECKING:
-    from tissueid.result import Refusal
+from tissueid.result import Refusal
 
 #: Missing items printed without -v, after the essential ones.
 FEW_MISSING = 8

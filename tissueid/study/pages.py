@@ -25,9 +25,8 @@ from tissueid.haptics.registry import reported_devices
 from tissueid.rendering.precheck import MM_PER_M, Demands, Precheck, check_before_force, demands_of
 from tissueid.rendering.tissue_block import WORKSPACE_CENTRE_M
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
-from tissueid.report import render_report
 from tissueid.report.law_payload import tissue_of
-from tissueid.report.page import Beside, index_row, plotly_script, render_index
+from tissueid.report.page import Beside, index_row, plotly_script, render_index, render_report
 from tissueid.report.rendering_words import NORMALISED, RefusedDevice, RenderedDevice, Rendering
 from tissueid.report.twin_page import twin_sections
 from tissueid.report.wording import whole_label
@@ -151,7 +150,7 @@ def report_page(
     """The report of a run, with what a renderer will do and how complete the study's description is.
 
     ``written``: identification.json; ``graded``: it knows of the study; ``**more``: of
-    :func:`tissueid.report.render_report`.
+    :func:`tissueid.report.page.render_report`.
     """
     known = {one.specimen: one for one in posteriors}
     document = typed(written, Identification)
