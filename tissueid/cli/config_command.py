@@ -135,12 +135,10 @@ def settings_files() -> list[SettingsFile]:
     if user is not None and (user.exists() or USER_FILE in os.environ):
         found.append(_parsed(user, ()))
     project = [_parsed(Path(PROJECT_FILE), ())] if Path(PROJECT_FILE).is_file() else []
-    if Path(PYPROJECT).is_file():
-        # most are no concern of ours: one that can't be parsed is refused only where it speaks of tissueid
-        inside = ("tool", "tissueid")
-        text = Path(PYPROJECT).read_text(encoding="utf-8", errors="replace")
-        if "tool.tissueid" in text:
-            project.append(_parsed(Path(PYPROJECT), inside))
+    shared = Path(PYPROJECT)
+    # most are no concern of ours: one that can't be parsed is refused only where it speaks of tissueid
+    if shared.is_file() and "tool.tissueid" in shared.read_text(encoding="utf-8", errors="replace"):
+        project.append(_parsed(shared, ("tool", "tissueid")))
     project = [one for one in project if one.table or not one.inside]
     if len(project) > 1:
         refuse(f"this folder has settings in {PROJECT_FILE} and in {PYPROJECT}: keep them in one of the two")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Protocol, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import msgspec
 import numpy as np
@@ -29,23 +29,18 @@ class Document(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tr
     RULES: ClassVar[JsonSchema] = {}  # Constraints of the JSON Schema beyond types
 
 
-class OfSheet(Document, frozen=True):
+class Placed(Document, frozen=True):
+    """Part of a document that says where it comes from."""
+
+    path: str
+    sheet: str | None
+
+
+class OfSheet(Placed, frozen=True):
     """Record of one recording."""
 
     path: Text
     sheet: str | None  # Workbook sheet, null where the file has none
-
-
-class Placed(Protocol):
-    """Part of a document that says where it comes from."""
-
-    @property
-    def path(self) -> str:
-        """File, as it was named."""
-
-    @property
-    def sheet(self) -> str | None:
-        """Sheet of a workbook; ``None`` where the file has none."""
 
 
 _T = TypeVar("_T")

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from tissueid.documents.base import Count, Document, NonNegative, Positive, PositiveCount, Text
+from tissueid.documents.base import Count, Document, NonNegative, Placed, Positive, PositiveCount, Text
 from tissueid.documents.identification import Estimate, Model, Provenance, Validity
 from tissueid.documents.inspect import Units
 from tissueid.documents.rupture import Law
@@ -109,11 +109,9 @@ class Bundle(Document, frozen=True):
     rupture: Law | None  # When the tissue breaks, as `tissueid rupture` found; null where nothing is claimed
 
 
-class Source(Document, frozen=True):
+class Source(Placed, frozen=True):
     """Recording a calibration was made from."""
 
-    path: str
-    sheet: str | None
     sha256: Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
 
 

@@ -13,6 +13,7 @@ from tissueid.documents.base import (
     JsonSchema,
     NonNegative,
     OfSheet,
+    Placed,
     Positive,
     Sha256,
     Text,
@@ -387,11 +388,9 @@ class StatedSpecimen(Document, frozen=True):
     notes: str | None
 
 
-class StatedTrial(Document, frozen=True):
+class StatedTrial(Placed, frozen=True):
     """Row of a log in the study file."""
 
-    path: str
-    sheet: str | None
     specimen: str
     site: str | None
     protocol: str | None
@@ -415,11 +414,9 @@ class WithIt(Document, frozen=True):
     with_stderr: float | None
 
 
-class Exclusion(Document, frozen=True):
+class Exclusion(Placed, frozen=True):
     """Log that was left out, and what it would have changed."""
 
-    path: str
-    sheet: str | None
     specimen: str | None
     because: str
     note: str | None

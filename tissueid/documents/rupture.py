@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, field
 
-from tissueid.documents.base import Count, Document, Fraction, NonNegative, Positive, PositiveCount
+from tissueid.documents.base import Count, Document, Fraction, NonNegative, Placed, Positive, PositiveCount
 from tissueid.documents.identification import Provenance
 from tissueid.documents.population import Confounding
 from tissueid.flags import Flag
@@ -113,11 +113,9 @@ class Measures(Document, frozen=True):
     depth: Limit
 
 
-class Test(Document, frozen=True):
+class Test(Placed, frozen=True):
     """One test to rupture, or to its end without."""
 
-    path: str
-    sheet: str | None
     specimen: str
     ruptured: bool
     speed_mm_s: Positive
@@ -143,11 +141,9 @@ class RuptureLaw(Document, frozen=True):
     law: Law
 
 
-class LeftOut(Document, frozen=True):
+class LeftOut(Placed, frozen=True):
     """Recording that took no part."""
 
-    path: str
-    sheet: str | None
     reason: str
 
 

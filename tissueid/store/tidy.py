@@ -230,18 +230,10 @@ def _trial_rows(document: Identification) -> Iterator[Row]:
 def _longest_hold(rows: Sequence[Relaxation]) -> Row:
     if not rows:
         return {"holds": 0}
-    longest = max(rows, key=lambda row: row.window_s[1] - row.window_s[0])
-    found: Row = {
-        "holds": len(rows),
-        "hold_start_s": longest.window_s[0],
-        "hold_end_s": longest.window_s[1],
-        "hold_peak_force_N": longest.peak_force_N,
-        "tau_single_s": longest.tau_single_s,
-        "nrmsd_single": longest.nrmsd_single,
-    }
-    for key, times in (("double", longest.tau_double_s), ("triple", longest.tau_triple_s)):
-        found |= {f"tau_{key}_{i}_s": tau for i, tau in enumerate(times, start=1)}
-    return found
+    one = max(rows, key=lambda row: row.window_s[1] - row.window_s[0])
+    double, triple = (*one.tau_double_s, None, None)[:2], (*one.tau_triple_s, None, None, None)[:3]
+    numbers = (len(rows), *one.window_s, one.peak_force_N, one.tau_single_s, one.nrmsd_single)
+    return dict(zip(_HOLD, (*numbers, *double, *triple), strict=True))
 
 
 def _cycle_rows(document: Identification) -> Iterator[Row]:
