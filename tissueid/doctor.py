@@ -57,7 +57,6 @@ def _machine() -> Check:
 
 
 def _libraries() -> Check:
-    """Versions of what tissueid needs."""
     lines = [line for line in requires("tissueid") or () if "extra ==" not in line]
     names = [re.findall(r"[\w.-]+", line)[0] for line in lines]
     found = versions(names)

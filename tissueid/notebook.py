@@ -148,7 +148,6 @@ def _parameters(
 
 
 def _flags(flags: Sequence[Flag]) -> str:
-    """Remarks as a list."""
     told = (f"<li>{escape(one.message)} <code>{escape(one.code)}</code></li>" for one in flags)
     return f"<ul>{''.join(told)}</ul>" if flags else ""
 

@@ -230,8 +230,7 @@ def _measured(bundle: Bundle, progress: Progress) -> Protocol | None:
     paths = tuple(dict.fromkeys(str(entry["path"]) for entry in inputs_there(bundle)))
     try:
         study = locate_study((), named=manifest)[0] if manifest else None
-        refused: list[Refusal] = []
-        trials = read_all(paths, reading, study, refused)
+        trials = read_all(paths, reading, study, refused=[])
         return of_bundle_inputs(trials, bundle, study=study, progress=progress)
     except (InputError, UsageError):
         # the study or a file has changed since: a program stands in, and that is said

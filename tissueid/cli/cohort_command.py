@@ -62,9 +62,8 @@ def print_population(written: WrittenPopulation, out: str, *, quiet: int) -> Non
     document = written.document
     found = document.population
     assert found is not None  # noqa: S101  (asked before)
-    count = len(document.specimens_used)
     echo()
-    echo(f"population of {count} specimens, to {found.depth_mm:.3g} mm", bold=True)
+    echo(f"population of {len(document.specimens_used)} specimens, to {found.depth_mm:.3g} mm", bold=True)
     for row in found.quantities:
         median, low, high, *wide = together(
             [row.median, *row.ci95, *(row.ci95_total or ())], (row.ci95[1] - row.ci95[0]) / 4.0

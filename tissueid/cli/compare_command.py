@@ -179,9 +179,8 @@ def _lines(document: Contrast) -> Iterator[str]:
     yield from (f"! {remark}" for remark in document.remarks)
     for pair in document.pairs:
         verdict = "differ" if pair.difference.different else "not shown to differ"
-        probability = pair.difference.probability
         yield ""
-        yield f"{pair.one} and {pair.other}: {verdict} (p = {probability:.2g})"
+        yield f"{pair.one} and {pair.other}: {verdict} (p = {pair.difference.probability:.2g})"
         width = max(len(row.name) for row in pair.numbers)
         for row in pair.numbers:
             ratio = "" if row.ratio is None else "ratio {1:.3g} ({0:.3g} to {2:.3g})".format(*row.ratio)

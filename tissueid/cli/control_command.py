@@ -175,7 +175,6 @@ def _beside(settings: ControlSettings) -> dict[str, ControlSettings]:
 
 
 def _lines(document: Control) -> list[str]:
-    """Printed lines."""
     mass, tissue = document.virtual_mass, document.tissue
     loop = f"variant {document.variant}, {document.environment} type"
     enough = "" if mass.enough else ": less than 1.5 times it, no margin for wrong estimates"

@@ -176,7 +176,6 @@ def _tissues(flags: _DesignFlags) -> tuple[Tissues, Recipe | None]:
 
 
 def _asked(flags: _DesignFlags, machine: Machine, tissues: Tissues) -> Asked:
-    """Wants and limits as numbers."""
     from tissueid.design.precision import Asked
     from tissueid.design.tissues import parsed_want, usual_wants
 

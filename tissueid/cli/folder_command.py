@@ -46,7 +46,6 @@ def status(flags: _StatusFlags) -> int:
 
 
 def _status_lines(status: Status) -> list[str]:
-    """The status in words."""
     specimens, files = status.specimens, status.files
     said = STATES[status.state]
     if status.writer is not None:

@@ -307,7 +307,6 @@ def _write_key(flags: RenderFlags, plan: SessionPlan) -> None:
 
 
 def _report(flags: RenderFlags, plan: SessionPlan, outcome: Outcome) -> None:
-    """The session in numbers."""
     if flags.as_json:
         echo_json(
             {
@@ -330,7 +329,6 @@ def _report(flags: RenderFlags, plan: SessionPlan, outcome: Outcome) -> None:
 
 
 def _selftest(flags: RenderFlags) -> int:
-    """Figures of the servo on this machine."""
     from tissueid.rendering.selftest import DEFAULT_SECONDS, run_selftest
 
     seconds = flags.seconds or DEFAULT_SECONDS

@@ -85,8 +85,6 @@ def _run(flags: _RuptureFlags, progress: Any) -> RuptureRun:
 
 
 def _lines(document: Rupture) -> list[str]:
-    """The study in a few lines."""
-
     def mean(row: Speed, name: str) -> str:
         value, sd = getattr(row.mean, name), getattr(row.sd, name)
         if value is None:

@@ -23,7 +23,6 @@ def check_rate(rate_Hz: float) -> None:
 
 
 def _list_dialects(context: click.Context, _option: click.Parameter, value: bool) -> None:
-    """Print every dialect with what it is, and leave."""
     if not value or context.resilient_parsing:
         return
     from tissueid.synth import EXPORTS

@@ -94,11 +94,10 @@ def twin_lines(found: Twin) -> list[str]:
         lines += ["", f"{one.device}: {missed}{refit}", f"  a hand {could} tell: {most}"]
         lines += [f"  {_row(row)}" for row in one.rows]
     off = _percent(found.unseen.nrmsd_model)
-    unseen = f"at {found.unseen.speed_mm_s:.3g} mm/s, of no recording: emulated Falcon off the law by {off}"
     real = any(one.device == MACHINE for one in found.devices)
     lines += [
         "",
-        unseen,
+        f"at {found.unseen.speed_mm_s:.3g} mm/s, of no recording: emulated Falcon off the law by {off}",
         "No real device has confirmed this: the Falcon is emulated, its counts and delay stated"
         + (", and those of your device taken to be the same." if real else "."),
     ]

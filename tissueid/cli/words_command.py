@@ -106,7 +106,6 @@ def _table(rows: list[dict[str, Any]]) -> Iterator[str]:
 
 
 def _law_lines(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Everything of some laws."""
     for position, row in enumerate(rows):
         if position:
             yield ""

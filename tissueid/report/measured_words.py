@@ -117,10 +117,9 @@ def measured_view(specimen: Specimen) -> dict[str, Any] | None:
 
 def _said(columns: Sequence[_Column]) -> str:
     """Sentence on the origin of times, the spread, and what is left out."""
-    count = max(column.count for column in columns)
     spread = any(row.sd is not None for column in columns for row in column.found.values())
     between = "Mean ± SD between logs." if spread else "The spread between logs is unknown."
-    if count == 1:
+    if max(column.count for column in columns) == 1:
         between = "One log: the spread between sites is unknown."
     left = len(columns) - MOST_COLUMNS
     more = f" {left} more stand in the workbook." if left > 0 else ""

@@ -30,7 +30,6 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8
 
 
 def _verdict(items: Sequence[Item]) -> Verdict:
-    """Verdict on agreeing numbers."""
     compared = [item for item in items if item.published is not None and item.agrees is not None]
     agreeing: Counter[str] = Counter(item.kind for item in compared if item.agrees)
     differing = [item.words for item in compared if not item.agrees]

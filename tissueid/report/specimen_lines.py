@@ -262,9 +262,8 @@ def warning_lines(
     specimen: Specimen, *, shared: Sequence[str] = (), verbose: int = 0, alarms: int = 0
 ) -> list[tuple[str, str]]:
     """Warnings with their level, the worst first, less ``shared`` codes; ``alarms`` of the few are said."""
-    found = remarks(specimen, holds=verbose > 0)
     hidden = frozenset() if verbose else UNREMARKABLE | frozenset(shared)
-    kept = [one for one in found if one.code not in hidden]
+    kept = [one for one in remarks(specimen, holds=verbose > 0) if one.code not in hidden]
     room = len(kept) if verbose else max(MOST_WARNINGS - alarms, 1)
     logs = len(specimen.trials)
     lines = []

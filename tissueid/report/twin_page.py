@@ -53,7 +53,6 @@ def _percent(share: float) -> str:
 
 
 def _device(one: document.Device, source: str) -> Section:
-    """Section of one device."""
     recorded = (
         "" if one.nrmsd_recording is None else f", off the recording by {_percent(one.nrmsd_recording)}"
     )

@@ -301,9 +301,8 @@ def _static_words(known: Mapping[str, Estimate], depth_mm: float, length: str, i
     words = f"its static stiffness is {_estimate_words(first, interval)} at contact"
     terms = [value * depth_mm**power for power, value in enumerate(values) if value is not None]
     if len(terms) == len(values) and depth_mm > 0:
-        secant = sum(terms)
         unit = unit_words(first.unit)
-        words += f" ({number(secant, 3)} {unit} on average over {number(depth_mm, 3)}{length})"
+        words += f" ({number(sum(terms), 3)} {unit} on average over {number(depth_mm, 3)}{length})"
     return words
 
 

@@ -287,10 +287,9 @@ class OutputSet:
 
     def path(self, name: str) -> Path:
         """Place to write the file that will be public as ``name`` (a plain file name)."""
-        folder = self._open_folder()
         if not name or Path(name).name != name or name.startswith(".") or name == _MANIFEST:
             raise ValueError(f"{name!r} can't be a public name of an output set")
-        return folder / name
+        return self._open_folder() / name
 
     def sampling(self) -> Path:
         """Folder of chains while they are sampled; a killed run finds them again."""

@@ -89,13 +89,12 @@ def put_posteriors(file: Any, posteriors: Iterable[StoredPosterior]) -> None:
         trials = [{"path": where, "sheet": sheet} for where, sheet in one.bands]
         names = {"theta_names": list(one.theta_names), "chain_names": list(one.chain_names)}
         index.append({"specimen": one.specimen, **names, "trials": trials})
-        sizes = [band.shape[1] for band in one.bands.values()]
         bands = np.concatenate([*one.bands.values(), np.empty((_BAND_ROWS, 0))], axis=1)
         columns: dict[str, NDArray[Any]] = {
             "draws": one.draws.astype("<f8"),
             "chain": one.chain.astype("<f8"),
             "bands": bands.astype("<f4"),
-            "offsets": hdf5.offsets_of(sizes),
+            "offsets": hdf5.offsets_of([band.shape[1] for band in one.bands.values()]),
         }
         for name in ("draws_total", "log_density", "log_prior"):
             if (values := getattr(one, name)) is not None:

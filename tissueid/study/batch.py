@@ -431,7 +431,6 @@ class _Cohort:
         self.index.finish(job, hashlib.sha256(content).hexdigest(), len(content), seconds)
 
     def _compute(self, workplace: Workplace) -> None:
-        """Compute every job that waits."""
         total = len(self.specimens)
         waiting = {job.position: job for job in self.index.jobs("waiting")}
         if not waiting:

@@ -145,8 +145,7 @@ def look_into(file: NamedFile, recent: RecentTrials | None) -> list[RecordingRow
 
 def survey_files(payload: bytes, recent: RecentTrials | None = None) -> bytes:
     """The task: a list of :class:`NamedFile` in, a list of (position, what each holds) out."""
-    files: Sequence[NamedFile] = unpacked(payload)
-    return packed([(file.position, look_into(file, recent)) for file in files])
+    return packed([(file.position, look_into(file, recent)) for file in unpacked(payload)])
 
 
 def reading_key(options: ReadOptions, study: Study | None) -> str:

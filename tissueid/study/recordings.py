@@ -98,8 +98,7 @@ def listed_files(study: Study) -> list[str]:
     folder = Path(study.path).parent
     real = os.path.realpath(folder)
     names = [file for entry in study.entries for file in entry.files]
-    listed = [os.path.normpath(folder / os.path.relpath(name, real)) for name in dict.fromkeys(names)]
-    return [str(Path(name)) for name in listed]
+    return [os.path.normpath(folder / os.path.relpath(name, real)) for name in dict.fromkeys(names)]
 
 
 def options_for(study: Study | None, base: ReadOptions, path: str, sheet: str | None) -> ReadOptions:

@@ -168,5 +168,4 @@ def result_of(identification: Identification, *, shown: str, options: IdentifyOp
 
 def fit_specimen_job(payload: bytes) -> bytes:
     """The task: a packed :class:`SpecimenJob` in, the bytes of its file out."""
-    job: SpecimenJob = unpacked(payload)
-    return specimen_bytes(fit_here(job))
+    return specimen_bytes(fit_here(unpacked(payload)))

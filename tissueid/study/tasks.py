@@ -69,9 +69,8 @@ def unpacked(content: bytes) -> Any:
 @cache
 def versions() -> dict[str, str]:
     """Versions of tissueid, Python and the numeric libraries in this process."""
-    none = dict.fromkeys(_LIBRARIES, "none")
     own = {"tissueid": __version__, "python": platform.python_version()}
-    return {**own, **none, **extras.versions(_LIBRARIES)}
+    return {**own, **dict.fromkeys(_LIBRARIES, "none"), **extras.versions(_LIBRARIES)}
 
 
 def perform(what: str, payload: bytes) -> bytes:
