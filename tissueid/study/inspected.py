@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,9 +29,7 @@ if TYPE_CHECKING:
 def study_folder(paths: Sequence[str]) -> Path:
     """Folder of study.toml, there or not: beside or above what was named."""
     folders = [path if path.is_dir() else path.parent for path in (Path(name).resolve() for name in paths)]
-    common = folders[0]
-    while any(common not in (folder, *folder.parents) for folder in folders):
-        common = common.parent
+    common = Path(os.path.commonpath(folders))
     above = [folder for folder in (common, *common.parents) if (folder / MANIFEST).is_file()]
     return above[0] if above else common
 

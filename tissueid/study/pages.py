@@ -72,15 +72,12 @@ def rendering_of(specimen: Specimen, stored: StoredPosterior | None) -> Renderin
     tissue = tissue_of(specimen, stored)
     if tissue is None:
         return None
-    model, theta = tissue.model, tissue.theta
-    slow, fast = (float(value) for value in specimen.validity.speeds_mm_s)
-    rendered = RenderedTissue(
-        model=model, theta=theta, speeds_mm_s=(slow, fast), tip_radius_mm=specimen.validity.tip_radius_mm
-    )
+    model, theta, valid = tissue.model, tissue.theta, specimen.validity
+    rendered = RenderedTissue(model, theta, valid.speeds_mm_s, valid.tip_radius_mm)
     rows: list[RenderedDevice | RefusedDevice] = []
     for name, demands in _devices().items():
         try:
-            rows.append(_row(name, check_before_force(rendered, demands), (slow, fast)))
+            rows.append(_row(name, check_before_force(rendered, demands), valid.speeds_mm_s))
         except (TissueidError, ValueError) as error:
             rows.append(RefusedDevice(name, str(error)))
     draws = np.zeros((0, theta.size))

@@ -36,21 +36,19 @@ def locate_study(
         refuse(f"--no-study, and yet {named or manifests[0]} is named: leave one out")
     if ignore:
         return None, tuple(paths)
-    found = {named: named} if named else {}
-    for path in paths:
+    found: dict[str, str] = {}
+    for path in () if named else paths:
         name = picked_sheet(path)[0]
         folder = name if Path(name).is_dir() else os.path.dirname(name)  # noqa: PTH120 -- kept as typed
         file = path if path in manifests else os.path.join(folder, MANIFEST)  # noqa: PTH118 -- kept as typed
         if path in manifests or Path(file).is_file():
             found.setdefault(os.path.realpath(file), file)
-    if named and len({os.path.realpath(file) for file in found.values()}) == 1:
-        found = {named: named}
-    if len(found) > 1 and not named:
+    if len(found) > 1:
         refuse(
             f"{len(found)} studies at once ({', '.join(sorted(found.values()))}): fit them one by one, "
             "choose one with --study, or use --no-study"
         )
-    if not found:
+    if not named and not found:
         return None, tuple(paths)
     study = read_study(named or next(iter(found.values()))).of_sheets(_picked(paths))
     return study, _to_read(study, [path for path in paths if path not in manifests], bool(manifests))
