@@ -17,8 +17,38 @@ import msgspec
 
 from tissueid.documents.base import JsonSchema
 from tissueid.flags import FLAGS, Flag
-from tissueid.store.schema import LIST, ROOTS, kinds_of
 
+#: Mark of a document that is a list.
+LIST = "*"
+#: Root type of every schema, by its name, as MODULE.TYPE of :mod:`tissueid.documents`; where several are
+#: given, a document is one of them, and those behind :data:`LIST` are its items.
+ROOTS: Mapping[str, str] = {
+    "bundle": "folder.Bundle",
+    "contrast": "contrast.Contrast",
+    "control": "control.Control",
+    "design": "design.Design",
+    "devices": "devices.List devices.Info devices.Home devices.Test devices.Force devices.Damping",
+    "flag": "base.Flag",
+    "frame": "folder.Frame",
+    "identification": "identification.Identification",
+    "inspect": "*inspect.Trial inspect.Refusal",
+    "measured": "measured.Measured",
+    "measured-contrast": "contrast.MeasuredContrast",
+    "outputs": "folder.Outputs",
+    "population": "population.Population",
+    "quantities": "quantities.Quoted quantities.Cycle quantities.Unloading quantities.UnloadingMiss",
+    "reproduction": "reproduction.Reproduction",
+    "rupture": "rupture.Rupture",
+    "scene": "scene.Scene",
+    "selfcheck": "selfcheck.SelfCheck",
+    "session": "session.Session",
+    "status": "folder.Status",
+    "study": "study.StudyFile",
+    "study-check": "study.StudyCheck",
+    "training": "session.Training",
+    "twin": "twin.Twin",
+    "watch": "inspect.Watch",
+}
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 #: Files that people write: TOML has no null, so that what is left out has no second spelling.
 _WRITTEN_BY_HAND = {"scene", "study"}
@@ -36,6 +66,12 @@ FLAG_SCHEMA: JsonSchema = {
     "required": ["code", "message"],
     "additionalProperties": {"anyOf": [_PLAIN, {"type": "array", "items": _PLAIN}]},
 }
+
+
+def kinds_of(name: str) -> list[type[Any]]:
+    """Types of which a document is one, or each element of it; ``name``: a key of :data:`ROOTS`."""
+    places = [one.rpartition(".") for one in ROOTS[name].removeprefix(LIST).split()]
+    return [getattr(import_module(f"tissueid.documents.{module}"), kind) for module, _, kind in places]
 
 
 def schema_of(name: str) -> dict[str, Any]:

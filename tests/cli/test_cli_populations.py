@@ -15,6 +15,7 @@ from cohort_outputs import cohort_folder
 from command_line import REPOSITORY, read_json, run, write_csv, write_log, write_study
 from rendered_tissues import PAPER_A, bundle_of
 
+from tissueid.documents.contrast import Contrast
 from tissueid.haptics.states import Lamp
 from tissueid.model.base import ContactPath
 from tissueid.model.grammar import parsed
@@ -183,7 +184,7 @@ def test_folders_are_compared_by_draws_that_know_the_machine_and_bundles_say_tha
 def test_document_and_page_are_written_together(tmp_path, named, written):
     one, other = bundle(tmp_path, "kidney"), bundle(tmp_path, "liver", scale=1.5)
     run("compare", one, other, "-o", tmp_path / named, "-q", code=0)
-    check(read_json(tmp_path / f"{written}.json"), "contrast", where="contrast.json")
+    check(read_json(tmp_path / f"{written}.json"), Contrast, where="contrast.json")
     page = (tmp_path / f"{written}.html").read_text(encoding="utf-8")
     assert "kidney and liver differ" in page
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(

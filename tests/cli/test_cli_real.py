@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from command_line import QUICK, read_json, run
 
+from tissueid.documents.reproduction import Reproduction
 from tissueid.store.schema import check
 
 SHEETS = 29
@@ -109,7 +110,7 @@ def test_no_real_file_ends_in_a_bug(shared_data, tmp_path):
 def test_both_papers_are_recomputed_and_written(tmp_path):
     run("reproduce", "all", "-o", tmp_path / "out", "-q", "--set", "stiffness=linear", code=0)
     document = read_json(tmp_path / "out" / "reproduction.json")
-    check(document, "reproduction", where="reproduction.json")
+    check(document, Reproduction, where="reproduction.json")
     rows = {one["item"]: one for one in document["items"]}
     assert (rows["table-3/1"]["kind"], rows["table-3/1"]["recomputed"]) == ("given", None)
     for name in ("table-2/stiffness", "table-2/tau"):

@@ -20,6 +20,7 @@ from session_heads import head_of, records_of, summary_of
 from tissueid.cli import view_command
 from tissueid.cli.render_command import RenderFlags, _demonstrated
 from tissueid.cli.view_command import open_browser, telling_stop
+from tissueid.documents.session import Session
 from tissueid.errors import InputError
 from tissueid.haptics.states import Lamp, State
 from tissueid.ingest import read_trials, session
@@ -119,7 +120,7 @@ def test_the_numbers_of_scale_and_stability_are_printed_before_and_kept_in_the_l
     assert f"felt force = measured/{1.0 / scale['force_scale']:.4g}" in ended.stderr
     head = read_session_log(path).head
     assert head["scale"] == scale
-    check(dict(head), "session", where="log")
+    check(dict(head), Session, where="log")
     assert document["summary"]["deepest_mm"] == pytest.approx(1.0, abs=0.01)
     assert document["summary"]["shares"]["clipped"] == 0.0
 

@@ -9,20 +9,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from document_schemas import schema_of
+from document_schemas import ROOTS, schema_of
 from fit_factory import identification, specimen_fit
 from jsonschema import Draft202012Validator
 from msgspec import structs
 from posterior_factory import sampled
 
 from tissueid.documents import plain
+from tissueid.documents.identification import Identification
 from tissueid.errors import BundleError
 from tissueid.flags import Flag
 from tissueid.inspection import describe_segmented
 from tissueid.result import Estimate, SpecimenFit
 from tissueid.segment import segment
 from tissueid.store import schema as schema_module
-from tissueid.store.schema import ROOTS, check, first_problem, load_schema, schema_folder
+from tissueid.store.schema import check, first_problem, load_schema, schema_folder
 from tissueid.trial import Source, Trial
 
 
@@ -165,7 +166,7 @@ def test_a_wrong_value_is_refused_with_its_pointer(pointer: str, value: Any) -> 
     # a member that is unknown, and what members say together, is their owner's fault
     together = last in {"surprise", "identified", "value"} or parents[-2:] == ["flags", 0]
     with pytest.raises(BundleError, match=f"/{'/'.join(map(str, parents))}:" if together else pointer):
-        check(document, "identification", where="identification.json")
+        check(document, Identification, where="identification.json")
     assert first_problem(document, "identification") is not None, "the schema says less than the types"
 
 

@@ -11,6 +11,7 @@ from closed_forms import ramp_hold_state
 from typed_call import typed_call
 
 from tissueid.documents import plain
+from tissueid.documents.identification import Identification
 from tissueid.errors import BundleError, InputError, UsageError
 from tissueid.inference.specimen import FitOptions
 from tissueid.ingest import ReadOptions, read_trials
@@ -48,7 +49,7 @@ def test_document_of_a_whole_run_is_valid_and_drawn() -> None:
     tip = Geometry(Indenter("flat", 2.0), thickness_mm=15.0)
     run = identify(knee(), options=options(unloading=True, geometry=tip, depths_mm=(2.0,)))
     document = plain(run.as_json())
-    check(document, "identification", where="test")
+    check(document, Identification, where="test")
     (specimen,) = document["specimens"]
     assert specimen["unloading"]["converged"]
     (loop,) = specimen["cycles"]
@@ -107,7 +108,7 @@ def test_loops_of_a_recording_that_cannot_be_fitted_are_kept() -> None:
     run = identify([cut_loops()], options=IdentifyOptions(segment=stated))
     assert run.exit.code == 3
     assert [one.code for one in run.refused] == ["too_few_samples"]
-    check(plain(run.as_json()), "identification", where="test")
+    check(plain(run.as_json()), Identification, where="test")
     # F falls from 10 x to 8 x in the first step back: the peak is that of loading
     second = run.unfitted_cycles[1]
     assert second.peak_force_N.value == pytest.approx(40.0, rel=0.01)
@@ -156,7 +157,7 @@ def test_units_of_a_normalised_specimen_follow_to_json_report_and_bundle(tmp_pat
     other = identify([ramp_hold(Axes("1", "N"))])
     found = identify([ramp_hold(STRAIN_STRESS)])
     document = plain(found.as_json())
-    check(document, "identification", where="test")
+    check(document, Identification, where="test")
     specimen = document["specimens"][0]
     assert specimen["units"] == {"length": "1", "force": "MPa", "time": "s"}
     units = {entry["name"]: entry["unit"] for entry in specimen["parameters"]}

@@ -13,7 +13,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from tissueid.documents import plain
-from tissueid.documents.reproduction import Item
+from tissueid.documents.reproduction import Item, Reproduction
 from tissueid.errors import UsageError
 from tissueid.reproduce import published, recordings, speeds
 from tissueid.reproduce.controller import controlled_contact, table_3
@@ -170,7 +170,7 @@ def test_table_2_comes_back_from_the_whole_protocol():
 @pytest.mark.slow
 def test_everything_comes_out_as_it_must():
     document = plain(reproduction(("sadeghnejad", "pires"), Readings(), recordings.Effort()))
-    check(document, "reproduction", where="reproduction.json")
+    check(document, Reproduction, where="reproduction.json")
     rows = {one["item"]: one for one in document["items"]}
     for depth, peak, tau in (
         (2, 86.64, 0.0214),

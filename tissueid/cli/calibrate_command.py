@@ -99,7 +99,7 @@ def command(flags: _CalibrateFlags) -> int:
             records = run_simulations(check, checkpoint, **counts, workers=flags.workers, progress=progress)
     source = Source(found.kind, flags.source, found.specimen)
     written, verdict = check_document(source, found.protocol, check, records, **counts)
-    document, read = checked(written, "selfcheck", SelfCheck, where=_FILES[0])
+    document, read = checked(written, SelfCheck, where=_FILES[0])
     write_file(out / _FILES[0], json_bytes(document))
     write_file(out / _FILES[1], render_selfcheck(read, created=time_now()).encode("utf-8"))
     tell(flags, document, _lines(check, read.priors, found.protocol, verdict, flags.out))
@@ -274,7 +274,7 @@ def calibrate_frame(flags: _CalibrateFrameFlags) -> int:
     from tissueid.study.calibrate_frame import calibrate_frame as measured_frame
 
     trials = list(read_all(flags.paths, read_options(flags)))
-    written, document = checked(measured_frame(trials), "frame", Frame, where=flags.output)
+    written, document = checked(measured_frame(trials), Frame, where=flags.output)
     write_output(flags.output, json_bytes(written))
     tell(flags, written, _frame_lines(document))
     note(f"wrote {flags.output}", quiet=flags.quiet)

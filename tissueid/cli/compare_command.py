@@ -97,7 +97,7 @@ def command(flags: _CompareFlags) -> int:
             tell(flags, None, _measured_lines(typed(plain(measured), tuple[MeasuredPair, ...])))
         raise
     whole = found | ({"measured": measured} if measured else {})
-    written, document = checked(whole, "contrast", Contrast, where="contrast.json")
+    written, document = checked(whole, Contrast, where="contrast.json")
     if flags.output is not None:
         _write(written, document, _named(flags.output), quiet=flags.quiet)
     tell(flags, written, _lines(document))

@@ -118,7 +118,7 @@ def command(flags: _DesignFlags) -> int:
         plan = planned(machine, tissues, asked, progress)
         seconds = (datetime.now(UTC) - started).total_seconds()
     written = design_document(plan, machine, tissues, asked, given=given, specimens=flags.specimens)
-    plain, document = checked(written, "design", Design, where=_FILES[0])
+    plain, document = checked(written, Design, where=_FILES[0])
     if out is not None:
         _write(out, plan, machine, tissues, asked, document)
         # last of all: a plan is there when it is

@@ -171,14 +171,13 @@ def refusing(path: str | Path, done: str, way_out: str) -> Iterator[None]:
         refuse(f"{path}: can't be {done} ({error.strerror}); {way_out}")
 
 
-def checked(written: Any, schema: str, kind: type[_T], *, where: str) -> tuple[Any, _T]:
-    """A document in plain values, held against its schema, and the same as its type."""
-    from tissueid.documents import plain, typed
+def checked(written: Any, kind: type[_T], *, where: str) -> tuple[Any, _T]:
+    """A document in plain values, and the same as its type."""
+    from tissueid.documents import plain
     from tissueid.store.schema import check
 
     document = plain(written)
-    check(document, schema, where=where)
-    return document, typed(document, kind)
+    return document, check(document, kind, where=where)
 
 
 def refuse_foreign(folder: Path, names: Iterable[str], maker: str, why: str) -> None:

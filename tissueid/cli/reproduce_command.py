@@ -57,7 +57,7 @@ def command(flags: _ReproduceFlags) -> int:
         if flags.seed is not None:
             effort = replace(effort, seed=flags.seed)
         found = reproduction(papers, readings, effort)
-    written, document = checked(found, "reproduction", Reproduction, where=FILES[0])
+    written, document = checked(found, Reproduction, where=FILES[0])
     write_file(out / FILES[0], json_bytes(written))
     write_file(out / FILES[1], render_reproduction(document, created=time_now()).encode("utf-8"))
     tell(flags, written, _lines(document))

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from tissueid.decided import as_decided
-from tissueid.documents import plain, typed
+from tissueid.documents import plain
 from tissueid.documents.rupture import LeftOut, Rupture
 from tissueid.documents.rupture import Test as Failure
 from tissueid.errors import InputError, NotIdentifiedError, UsageError, refuse
@@ -250,13 +250,13 @@ def write_rupture(out: Path, run: Callable[[], RuptureRun]) -> dict[str, Any]:
         specimens = found.identification.specimens
         by_specimen = bundle_names(fit.specimen for fit in specimens)
         document: dict[str, Any] = plain(as_document(found, by_specimen))
-        check(document, "rupture", where=RUPTURE)
+        read = check(document, Rupture, where=RUPTURE)
         files.write(RUPTURE, json_bytes(document))
         for fit in specimens:
             bundle = bundle_from_fit(fit, provenance=found.identification.provenance)
             law = found.study.laws.get(fit.specimen)
             write_bundle(replace(bundle, rupture=law), files.path(by_specimen[fit.specimen]))
         created = datetime.now(UTC).isoformat(timespec="seconds")
-        files.write(PAGE, render_rupture(typed(document, Rupture), created=created).encode("utf-8"))
+        files.write(PAGE, render_rupture(read, created=created).encode("utf-8"))
         files.commit()
     return document

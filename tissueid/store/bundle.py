@@ -248,7 +248,7 @@ def write_bundle(bundle: Bundle, path: Path | str) -> None:
 def put_bundle(file: Any, bundle: Bundle, *, where: str) -> None:
     """Write a bundle into the root of an open HDF5 file, after the checks that :func:`load_bundle` makes."""
     document = plain(bundle.as_json())
-    check(document, "bundle", where=where)
+    check(document, Document, where=where)
     _check_contents(bundle, where=where)
     arrays = {name: getattr(bundle, name) for name in ARRAYS if getattr(bundle, name) is not None}
     text = json_bytes(document)
@@ -286,7 +286,7 @@ def load_bundle(path: Path | str) -> Bundle:
         document = json.loads(text)
     except ValueError as error:
         raise BundleError(f"{path}: its document is not JSON ({error}); run `tissueid fit` again") from error
-    check(document, "bundle", where=str(path))
+    check(document, Document, where=str(path))
     bundle = bundle_of_document(document, arrays)
     _check_contents(bundle, where=str(path))
     return bundle

@@ -33,6 +33,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Self
 
+from tissueid.documents.folder import Outputs
 from tissueid.errors import BundleError, UsageError, refuse
 from tissueid.store.files import (
     IDENTIFICATION,
@@ -150,7 +151,7 @@ def current_run(out: Path | str) -> CommittedRun | None:
         document = json.loads((folder / _MANIFEST).read_text(encoding="utf-8"))
     except ValueError as error:
         raise BundleError(f"{folder / _MANIFEST}: not JSON ({error}); run `tissueid fit` again") from error
-    check(document, "outputs", where=str(folder / _MANIFEST))
+    check(document, Outputs, where=str(folder / _MANIFEST))
     return CommittedRun(folder, document["files"], tuple(document["replaces"]))
 
 

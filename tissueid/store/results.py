@@ -12,11 +12,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from tissueid.documents import typed
 from tissueid.documents.identification import Identification as IdentificationDocument
 from tissueid.documents.identification import Specimen
+from tissueid.documents.rupture import Rupture
 from tissueid.documents.twin import Twin
 from tissueid.errors import BundleError
 from tissueid.store.bundle import load_bundle
@@ -35,6 +36,8 @@ from tissueid.store.outputs import CommittedRun, complete_refresh, current_run
 from tissueid.store.posteriors import StoredPosterior, load_posteriors
 from tissueid.store.schema import check, first_problem
 
+_T = TypeVar("_T")
+
 #: Place of a twin in an output folder.
 TWIN = Path("twin") / "twin.json"
 _LONGEST_LIST = 8
@@ -51,7 +54,7 @@ def read_identification(out: Path | str) -> IdentificationDocument:
 
 def read_plain(out: Path | str) -> dict[str, Any]:
     """Read the same as plain dicts, lists and values, to be printed or written again."""
-    return _checked(committed_fit(Path(out)).folder / IDENTIFICATION)
+    return _read(committed_fit(Path(out)).folder / IDENTIFICATION, IdentificationDocument)[0]
 
 
 def read_twin(out: Path) -> Twin | None:
@@ -59,12 +62,12 @@ def read_twin(out: Path) -> Twin | None:
     path = out / TWIN
     if not path.is_file():
         return None
-    return typed(_checked(path, "twin", "run `tissueid render --twin` again, or delete it"), Twin)
+    return _read(path, Twin, "run `tissueid render --twin` again, or delete it")[1]
 
 
 def load_identification(path: Path) -> IdentificationDocument:
     """Read an identification document by its file; BundleError where it can't be read, or is none."""
-    return typed(_checked(path), IdentificationDocument)
+    return _read(path, IdentificationDocument)[1]
 
 
 def read_results(
@@ -135,8 +138,7 @@ def output_problems(out: Path | str) -> list[str]:
     if CURVES not in run.files:
         return _large_problems(out, run)
     try:
-        plain = _checked(out / IDENTIFICATION)
-        document = typed(plain, IdentificationDocument)
+        plain, document = _read(out / IDENTIFICATION, IdentificationDocument)
         curves = load_curves(out / CURVES)
         posteriors = _posteriors(run)
     except BundleError as error:
@@ -174,13 +176,12 @@ def _committed(out: Path) -> CommittedRun:
     return run
 
 
-def _checked(path: Path, kind: str = "identification", way_out: str = _WAY_OUT) -> dict[str, Any]:
+def _read(path: Path, kind: type[_T], way_out: str = _WAY_OUT) -> tuple[dict[str, Any], _T]:
     try:
         document: dict[str, Any] = json.loads(path.read_bytes())
     except (OSError, ValueError) as error:
         raise BundleError(f"{path}: cannot be read as JSON ({error}); {way_out}") from error
-    check(document, kind, where=str(path), way_out=way_out)
-    return document
+    return document, check(document, kind, where=str(path), way_out=way_out)
 
 
 def _hash_problems(out: Path, run: CommittedRun) -> Iterable[str]:
@@ -198,7 +199,7 @@ def _hash_problems(out: Path, run: CommittedRun) -> Iterable[str]:
 def _rupture_problems(out: Path, run: CommittedRun) -> Iterator[str]:
     """Faults of the document and the bundles of a set of tests to rupture."""
     try:
-        broken = first_problem(_checked(out / RUPTURE, "rupture", _RUPTURE_AGAIN), "rupture")
+        broken = first_problem(_read(out / RUPTURE, Rupture, _RUPTURE_AGAIN)[0], "rupture")
         if broken is not None:
             yield f"{RUPTURE} breaks its schema at {broken}"
         for name in run.files:

@@ -12,10 +12,10 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module, resources
+from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_type_hints
 
 import msgspec
 
@@ -25,37 +25,8 @@ from tissueid.errors import BundleError
 if TYPE_CHECKING:
     from jsonschema.protocols import Validator
 
-#: Mark of a document that is a list.
-LIST = "*"
-#: Root type of every schema, by its name, as MODULE.TYPE of :mod:`tissueid.documents`; where several are
-#: given, a document is one of them, and those behind :data:`LIST` are its items.
-ROOTS: Mapping[str, str] = {
-    "bundle": "folder.Bundle",
-    "contrast": "contrast.Contrast",
-    "control": "control.Control",
-    "design": "design.Design",
-    "devices": "devices.List devices.Info devices.Home devices.Test devices.Force devices.Damping",
-    "flag": "base.Flag",
-    "frame": "folder.Frame",
-    "identification": "identification.Identification",
-    "inspect": "*inspect.Trial inspect.Refusal",
-    "measured": "measured.Measured",
-    "measured-contrast": "contrast.MeasuredContrast",
-    "outputs": "folder.Outputs",
-    "population": "population.Population",
-    "quantities": "quantities.Quoted quantities.Cycle quantities.Unloading quantities.UnloadingMiss",
-    "reproduction": "reproduction.Reproduction",
-    "rupture": "rupture.Rupture",
-    "scene": "scene.Scene",
-    "selfcheck": "selfcheck.SelfCheck",
-    "session": "session.Session",
-    "status": "folder.Status",
-    "study": "study.StudyFile",
-    "study-check": "study.StudyCheck",
-    "training": "session.Training",
-    "twin": "twin.Twin",
-    "watch": "inspect.Watch",
-}
+_T = TypeVar("_T")
+
 _LONGEST_MESSAGE = 300
 
 
@@ -68,12 +39,6 @@ class SchemaProblem:
 
     def __str__(self) -> str:
         return f"{self.pointer or '(document)'}: {self.message}"
-
-
-def kinds_of(name: str) -> list[type[Any]]:
-    """Types of which a document is one, or each element of it; ``name``: a key of :data:`ROOTS`."""
-    places = [one.rpartition(".") for one in ROOTS[name].removeprefix(LIST).split()]
-    return [getattr(import_module(f"tissueid.documents.{module}"), kind) for module, _, kind in places]
 
 
 def schema_folder() -> Traversable:
@@ -90,8 +55,6 @@ def schema_folder() -> Traversable:
 @cache
 def load_schema(name: str) -> Mapping[str, Any]:
     """Load one schema, by its name, as parsed JSON."""
-    if name not in ROOTS:
-        raise KeyError(f"there is no schema {name!r}; there are {', '.join(ROOTS)}")
     schema: dict[str, Any] = json.loads((schema_folder() / f"{name}.schema.json").read_bytes())
     return schema
 
@@ -127,27 +90,19 @@ def first_problem(document: Any, name: str) -> SchemaProblem | None:
     return SchemaProblem(_pointer(tuple(error.absolute_path)), error.message[:_LONGEST_MESSAGE] + cut)
 
 
-def _problem_of_types(document: Any, name: str) -> SchemaProblem | None:
-    """Find the first way in which a document breaks its types, which the schemas are made from."""
-    kinds = kinds_of(name)
-    if len(kinds) > 1 or ROOTS[name].startswith(LIST):
-        return first_problem(document, name)
+def check(document: Any, kind: type[_T], *, where: str = "", way_out: str = "") -> _T:
+    """Read a document of this version as its type; people's own files are held against the whole schema.
+
+    ``kind``: a record whose ``schema`` names it; ``where``: file or stage the document came from, for the
+    message; ``way_out``: its end.  Raises BundleError: naming the JSON pointer of the first problem.
+    """
     try:
-        typed(document, kinds[0], known=True)
+        found, problem = typed(document, kind, known=True), _non_finite(document)
+        if problem is None:
+            return found
     except msgspec.ValidationError as error:
         words, _, place = str(error).partition(" - at `$")
-        return SchemaProblem(re.sub(r"[.\[]([^.\[\]]+)\]?", r"/\1", place.rstrip("`")), words)
-    return _non_finite(document)
-
-
-def check(document: Any, name: str, *, where: str = "", way_out: str = "") -> None:
-    """Refuse a document that breaks its types; people's own files are held against the whole schema.
-
-    ``where``: file or stage the document came from, for the message; ``way_out``: its end.  Raises
-    BundleError: naming the JSON pointer of the first problem.
-    """
-    problem = _problem_of_types(document, name)
-    if problem is not None:
-        prefix = f"{where}: " if where else ""
-        suffix = f"; {way_out}" if way_out else ""
-        raise BundleError(f"{prefix}not a valid {name} document at {problem}{suffix}")
+        problem = SchemaProblem(re.sub(r"[.\[]([^.\[\]]+)\]?", r"/\1", place.rstrip("`")), words)
+    (schema,) = get_args(get_type_hints(kind)["schema"])
+    prefix, suffix = f"{where}: " if where else "", f"; {way_out}" if way_out else ""
+    raise BundleError(f"{prefix}not a valid {schema.split('/')[1]} document at {problem}{suffix}")

@@ -32,6 +32,7 @@ import numpy as np
 
 from tissueid.arrays import RecordArray
 from tissueid.documents import plain
+from tissueid.documents.session import Session
 from tissueid.errors import BundleError
 from tissueid.store.files import json_bytes
 from tissueid.store.hdf5 import HDF5_ERRORS, check_format, get_text, new_file, put_text
@@ -78,7 +79,7 @@ def raw_head(head: Mapping[str, Any], record: np.dtype[Any]) -> bytes:
             "summary": None,
         }
     )
-    check(document, "session", where="session log")
+    check(document, Session, where="session log")
     text = json.dumps(document, ensure_ascii=False, allow_nan=False).encode("utf-8")
     text += b" " * (-(len(text) + len(RAW_MAGIC) + _LENGTH_BYTES) % _HEAD_ALIGNMENT)
     return RAW_MAGIC + len(text).to_bytes(_LENGTH_BYTES, "little") + text
@@ -148,7 +149,7 @@ def convert_session_log(raw: Path, target: Path, summary: Mapping[str, Any]) -> 
     head, start, record = _parsed_head(data, str(raw))
     count = (raw.stat().st_size - start) // record.itemsize
     document = plain({**head, "summary": summary})
-    check(document, "session", where=str(target))
+    check(document, Session, where=str(target))
     text = json_bytes(document)
     digest = hashlib.sha256(_seal(text, record, count))
     with new_file(target) as file, raw.open("rb") as stream:
@@ -201,6 +202,6 @@ def _document(text: bytes, name: str) -> dict[str, Any]:
         document = json.loads(text)
     except ValueError as error:
         raise BundleError(f"{name}: its document is not JSON ({error}); record the session again") from error
-    check(document, "session", where=name)
+    check(document, Session, where=name)
     assert isinstance(document, dict)  # noqa: S101 -- what the schema demands
     return document

@@ -31,6 +31,7 @@ from tissueid.collection import (
 )
 from tissueid.documents import plain
 from tissueid.documents.identification import Exit
+from tissueid.documents.identification import Identification as Document
 from tissueid.errors import BundleError, InputError
 from tissueid.manifest import Study
 from tissueid.model.grammar import KELVIN_VOIGT, candidates
@@ -217,7 +218,7 @@ def _check_frame(document: Mapping[str, Any]) -> None:
             return {key: bare(child) for key, child in value.items()}
         return plain(value)
 
-    check(bare(document), "identification", where=IDENTIFICATION)
+    check(bare(document), Document, where=IDENTIFICATION)
 
 
 class _SeveralSpecimensError(Exception):

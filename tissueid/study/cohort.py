@@ -62,7 +62,7 @@ def write_population(
         if fit.population is None:
             left = "".join(f"; {printable(row.specimen)}: {row.reason}" for row in document.left_out)
             raise NotIdentifiedError(f"no population: {document.reason}{left}")
-        check(written, "population", where=_DOCUMENT)
+        check(written, Population, where=_DOCUMENT)
         progress("writing the report", 0, 0)
         run.carry_over(but=POPULATION_FILES)
         run.write(_DOCUMENT, json_bytes(written))

@@ -14,6 +14,7 @@ from typing import Any
 
 from tissueid.collection import RecentTrials
 from tissueid.documents import plain
+from tissueid.documents.identification import Identification as Document
 from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.ingest import ReadOptions
@@ -140,7 +141,7 @@ def fit_here(
 def result_of(identification: Identification, *, shown: str, options: IdentifyOptions) -> SpecimenResult:
     """Stored part of an identification of one specimen; BundleError where it breaks its schema."""
     document = plain(identification.as_json())
-    check(document, "identification", where=shown)
+    check(document, Document, where=shown)
     study = document["study"]
     fits = identification.specimens
     provenance = document["provenance"]

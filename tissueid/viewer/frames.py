@@ -194,9 +194,10 @@ class Client:
         #: Samples this client was too slow for.
         self.dropped = 0
         self.sent = self.answered = 0
+        self._cursor = max(source.published - MOST_SAMPLES, 0)
         self._sent_s: deque[float] = deque()
         self._round_trip_s = 0.0
-        self.rewind()
+        self._said_ended = False
 
     def next_frame(self) -> bytes | None:
         """The frame to send now; None where nothing is new, or where too many are unanswered."""
