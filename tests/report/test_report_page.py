@@ -33,7 +33,7 @@ from tissueid.documents import typed
 from tissueid.documents.twin import Twin
 from tissueid.report import page as report_page
 from tissueid.report.figures import curve_bytes, thinned
-from tissueid.report.page import Beside, plotly_script
+from tissueid.report.page import plotly_script
 from tissueid.report.twin_page import twin_sections
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.posteriors import posteriors_of_fits
@@ -275,7 +275,8 @@ def whole():
         fit,
         refused=True,
         renderings=[rendering_of(specimen, posteriors_of_fits([fit])[0])],
-        beside=Beside(described, twin_sections(typed(TWIN, Twin))),
+        metadata=described,
+        twin=twin_sections(typed(TWIN, Twin)),
     )
 
 

@@ -24,7 +24,6 @@ from tissueid.documents.study import StudyCheck
 from tissueid.flags import Flag
 from tissueid.report.figures import MOST_NUMBERS, posterior_payload
 from tissueid.report.methods_words import AUTHORS, TITLE, citation, methods_view, subscripted
-from tissueid.report.page import Beside
 from tissueid.report.rendering_words import RefusedDevice, RenderedDevice, Rendering
 from tissueid.report.uncertainty_words import paper_view, reported_order, uncertainty_view
 from tissueid.store.posteriors import posteriors_of_fits
@@ -227,7 +226,7 @@ def test_what_a_renderer_does_and_what_is_missing_stand_on_the_page():
         "schema": "tissueid/study-check/1", "path": "study.toml", "unmatched": [], "grade": "D",
         "share": 0.42, "missing": [missing],
     }  # fmt: skip
-    html = page(specimen_fit(), renderings=[rendering], beside=Beside(typed(metadata, StudyCheck)))
+    html = page(specimen_fit(), renderings=[rendering], metadata=typed(metadata, StudyCheck))
     for said in (
         "499 of 500 posterior draws", "measured / 152", "37 %", "lowered from measured / 100",
         "refused: needs &lt;more&gt; damping", "Grade <strong>D</strong>: 42 %", "radius or half angle",

@@ -8,7 +8,7 @@ import os
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from importlib import resources
 from pathlib import Path
@@ -245,25 +245,14 @@ def verdict_counts(verdicts: Iterable[tuple[str, str]]) -> list[tuple[str, str, 
     return [(level, title, count) for (level, title), count in Counter(verdicts).most_common()]
 
 
-@dataclass(frozen=True, slots=True)
-class Beside:
-    """Documents beside the numbers of a run."""
-
-    #: How complete the study's description is: the document of ``schemas/study-check.schema.json``.
-    metadata: StudyCheck | None = None
-    twin: Sequence[Section] = ()  # of :func:`tissueid.report.twin_page.twin_sections`
-
-
-NOTHING = Beside()
-
-
 def render_report(
     identification: Identification,
     curves: Sequence[TrialCurve],
     posteriors: Sequence[StoredPosterior] = (),
     *,
     renderings: Sequence[Rendering | str | None] = (),
-    beside: Beside = NOTHING,
+    metadata: StudyCheck | None = None,
+    twin: Sequence[Section] = (),
     created: str | None = None,
     script_file: str | None = None,
     digest: str | None = None,
@@ -271,8 +260,10 @@ def render_report(
     """Write the report of one run as one self-contained HTML page.
 
     ``curves``: trials without a curve are listed but not drawn; ``posteriors``: draws, chains and predictive
-    bands; ``renderings``: one a specimen, from :func:`tissueid.study.pages.rendering_of`; ``created``: time
-    stamp to print; ``script_file``: of :func:`render_page`; ``digest``: SHA-256 of identification.json.
+    bands; ``renderings``: one a specimen, from :func:`tissueid.study.pages.rendering_of`; ``metadata``: how
+    complete the study's description is; ``twin``: of :func:`tissueid.report.twin_page.twin_sections`;
+    ``created``: time stamp to print; ``script_file``: of :func:`render_page`; ``digest``: SHA-256 of
+    identification.json.
     """
     specimens = identification.specimens
     units = specimens[0].units if specimens else None
@@ -295,8 +286,8 @@ def render_report(
         overview_sentence=wording.overview_sentence(specimens),
         counts=verdict_counts((one["verdict"].level, one["verdict"].title) for one in views),
         study=identification.study,
-        metadata=beside.metadata,
-        twin=beside.twin,
+        metadata=metadata,
+        twin=twin,
         cite=citation(identification.provenance.tissueid),
         created=created,
         data="curves",

@@ -26,14 +26,8 @@ from tissueid.study.recordings import read_decided_one
 
 #: Comment behind the header of a table that was written here.
 MARK = "# by inspect --serve"
-#: What can be corrected, and the table it stands in.
-CORRECTED: Mapping[str, str] = {
-    "contact_mm": "override",
-    "hold_from_s": "override",
-    "end_s": "override",
-    "rupture": "override",
-    "exclude": "exclude",
-}
+#: What can be corrected: keys of ``[[override]]``, and a table of its own.
+CORRECTED = ("contact_mm", "hold_from_s", "end_s", "rupture", "exclude")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +66,7 @@ def corrected_text(text: str, correction: Correction) -> str:
 
     Raises UsageError: the file is laid out so that a table can't be added to it or taken out of it.
     """
-    table = CORRECTED[correction.key]
+    table = "exclude" if correction.key == "exclude" else "override"
     text = text or f'schema = "{SCHEMA}"\n'
     document = tomllib.loads(text)
     # TOML knows no other end of a line than a line feed

@@ -26,7 +26,7 @@ from tissueid.rendering.precheck import MM_PER_M, Demands, Precheck, check_befor
 from tissueid.rendering.tissue_block import WORKSPACE_CENTRE_M
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.report.law_payload import tissue_of
-from tissueid.report.page import Beside, index_row, plotly_script, render_index, render_report
+from tissueid.report.page import index_row, plotly_script, render_index, render_report
 from tissueid.report.rendering_words import NORMALISED, RefusedDevice, RenderedDevice, Rendering
 from tissueid.report.twin_page import twin_sections
 from tissueid.report.wording import whole_label
@@ -156,10 +156,8 @@ def report_page(
         curves,
         posteriors,
         renderings=[rendering_of(one, known.get(one.specimen)) for one in document.specimens],
-        beside=Beside(
-            completeness_of_result(document.study) if graded else None,
-            () if twin is None else twin_sections(twin),
-        ),
+        metadata=completeness_of_result(document.study) if graded else None,
+        twin=() if twin is None else twin_sections(twin),
         digest=hashlib.sha256(json_bytes(written)).hexdigest(),
         **more,
     )
