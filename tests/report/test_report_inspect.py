@@ -21,25 +21,19 @@ from report_pages import drawn, payload_of, self_contained, wide
 from typed_call import typed_call
 
 from tissueid.cli.main import main
-from tissueid.documents import plain
+from tissueid.documents import plain, typed
+from tissueid.documents.inspect import Trial as TrialDocument
 from tissueid.flags import Flag
 from tissueid.ingest.manifest import read_study
 from tissueid.inspection import describe_segmented
 from tissueid.report.inspect_decisions import UNIT_TO_WRITE, Decision, decisions, toml_value
-from tissueid.report.inspect_page import (
-    MOST_DRAWN,
-    InspectedRecording,
-    drawn_recording,
-    inspected_recording,
-    render_inspection,
-)
+from tissueid.report.inspect_page import MOST_DRAWN, InspectedRecording, drawn_recording, render_inspection
 from tissueid.result import Refusal
 from tissueid.segment import segment
 from tissueid.store.schema import first_problem
 from tissueid.trial import Segmentation, Source, Trial
 from tissueid.viewer.page_server import PageServer
 
-inspected_recording = typed_call(inspected_recording)
 decisions = typed_call(decisions)
 
 LARGEST_PAGE_BYTES = 10_000_000
@@ -64,11 +58,11 @@ def looked() -> dict[str, Any]:
     return plain(recording(ramp_hold()).document)
 
 
-def recording(trial: Trial, file: str = "run.csv") -> InspectedRecording:
-    divided = segment(trial)
-    return inspected_recording(
-        trial, divided, describe_segmented(trial, divided), file=file, reader="Read as test"
-    )
+def recording(trial: Trial, file: str = "run.csv", divided: Segmentation | None = None) -> InspectedRecording:
+    divided = divided or segment(trial)
+    document = typed(plain(describe_segmented(trial, divided)), TrialDocument)
+    said = decisions(document, file=file)
+    return InspectedRecording(document, drawn_recording(trial, divided), said, "Read as test")
 
 
 def entries(html: str) -> list[dict[str, Any]]:
@@ -283,9 +277,7 @@ def test_a_recording_without_any_contact_is_drawn():
     divided = segment(air)
     if divided.contact is not None:
         divided = Segmentation(1, 1, None, divided.phases, divided.force_noise_N)
-    document = describe_segmented(air, divided)
-    shown = inspected_recording(air, divided, document, file="air.csv", reader="Read as test")
-    assert "contact_mm" in render_inspection([shown])
+    assert "contact_mm" in render_inspection([recording(air, "air.csv", divided)])
 
 
 # --- in a browser -----------------------------------------------------------------------------------------

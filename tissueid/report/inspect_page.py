@@ -17,7 +17,7 @@ from tissueid.documents.inspect import Phase
 from tissueid.documents.inspect import Trial as TrialDocument
 from tissueid.flags import flag_level
 from tissueid.report.figures import packed
-from tissueid.report.inspect_decisions import Decision, decisions
+from tissueid.report.inspect_decisions import Decision
 from tissueid.report.page import render_page
 from tissueid.report.wording import LEVELS, flag_remarks, trial_label, whole_label
 from tissueid.result import Refusal
@@ -188,25 +188,6 @@ class InspectedRecording:
     def level(self) -> str:
         """The gravest level among its flags."""
         return max((flag_level(one.code) for one in self.document.flags), key=LEVELS.index, default="ok")
-
-
-def inspected_recording(
-    trial: Trial,
-    segmentation: Segmentation,
-    document: TrialDocument,
-    *,
-    file: str,
-    reader: str,
-    standing: Mapping[str, tuple[Any, str]] | None = None,
-) -> InspectedRecording:
-    """Keep of a recording what the page needs.
-
-    ``document``: what ``tissueid inspect --json`` says of it; ``file``: its path relative to the folder of
-    study.toml; ``reader``: which reader read it, and why; ``standing``: what the user decided of it: value
-    and reason by key of study.toml.
-    """
-    drawn = drawn_recording(trial, segmentation)
-    return InspectedRecording(document, drawn, decisions(document, file=file), reader, standing or {})
 
 
 def render_inspection(

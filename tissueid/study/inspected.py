@@ -138,16 +138,12 @@ class Inspection:
         document = typed(printed, InspectedTrial)
         if not self._drawn:
             return _Made(document, printed, None)
-        from tissueid.report.inspect_page import inspected_recording
+        from tissueid.report.inspect_decisions import decisions
+        from tissueid.report.inspect_page import InspectedRecording, drawn_recording
         from tissueid.study.corrections import standing
 
-        source = trial.source
-        drawn = inspected_recording(
-            trial,
-            divided,
-            document,
-            file=relative_name(source.path, self._root),
-            reader=reader_words(document),
-            standing=standing(study, source.path, source.sheet),
-        )
-        return _Made(document, printed, drawn)
+        drawn, path = drawn_recording(trial, divided), trial.source.path
+        said = decisions(document, file=relative_name(path, self._root))
+        stands = standing(study, path, trial.source.sheet)
+        shown = InspectedRecording(document, drawn, said, reader_words(document), stands)
+        return _Made(document, printed, shown)
