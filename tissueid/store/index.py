@@ -274,14 +274,11 @@ class Index(AbstractContextManager["Index"]):
         row = self._do("SELECT sha256, bytes FROM results WHERE key = ?", key).fetchone()
         return None if row is None else (row["sha256"], row["bytes"])
 
-    def forget_unused(self) -> None:
-        """Drop results that no job of the run names, and files it did not look at."""
+    def forget_unused(self) -> set[str]:
+        """Drop results that no job of the run names, and files it did not look at; keys of all its jobs."""
         with self.batch():
             self._do("DELETE FROM results WHERE key NOT IN (SELECT key FROM jobs)")
             self._do("DELETE FROM recordings WHERE run != ?", self._run)
-
-    def used_keys(self) -> set[str]:
-        """Keys of all jobs of the run."""
         return {row["key"] for row in self._do("SELECT key FROM jobs")}
 
 

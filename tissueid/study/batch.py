@@ -259,8 +259,7 @@ def fit_cohort(request: Request, run: OutputSet, progress: Progress) -> Assemble
 def prune_specimens(out: Path) -> None:
     """Remove files and pages of specimens that the committed set does not name; call it after the commit."""
     with Index(out) as index:
-        index.forget_unused()
-        used = index.used_keys()
+        used = index.forget_unused()
     for path in (*(out / SPECIMENS).glob("*.h5"), *(out / PAGES).glob("*.html")):
         if path.stem not in used:
             path.unlink(missing_ok=True)
