@@ -13,15 +13,9 @@ from numpy.typing import ArrayLike
 from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.falcon import calibration as module
+from tissueid.haptics.falcon import kinematics
 from tissueid.haptics.falcon.device import limits_of
-from tissueid.haptics.falcon.kinematics import (
-    DEFAULT_GEOMETRY,
-    GEOMETRIES,
-    Geometry,
-    forward,
-    inverse,
-    torque,
-)
+from tissueid.haptics.falcon.kinematics import DEFAULT_GEOMETRY, forward, inverse, torque
 from tissueid.haptics.falcon.transport import UDEV_RULE
 from tissueid.haptics.limits import UNCALIBRATED_N, WORST_UNITS_PER_NM
 
@@ -119,7 +113,7 @@ def test_clamp_grows_with_what_was_checked():
     assert not limits_of(module.Calibration(), hands_off=True).dead_man
 
 
-def rates(place: ArrayLike, geometry: Geometry) -> FloatArray:
+def rates(place: ArrayLike, geometry: kinematics.Geometry) -> FloatArray:
     """Torques of one newton along each axis, shape (3, 3) [m]."""
     return np.array([torque(place, push, geometry=geometry) for push in np.eye(3)])
 
@@ -133,7 +127,7 @@ def test_motor_clamp_bounds_the_force_even_of_the_worst_constant():
     places = directions + np.array([0.0, 0.0, 0.130])
     worst = max(
         float(np.linalg.norm(rates(place, geometry), axis=0).max())
-        for geometry in GEOMETRIES.values()
+        for geometry in kinematics.GEOMETRIES.values()
         for place in places
     )
     # 5 N along the worst direction, at 3460 units for one N m, must fit under it, and not much more
@@ -144,12 +138,12 @@ def test_motor_clamp_bounds_the_force_even_of_the_worst_constant():
     )
 
 
-@pytest.mark.parametrize("geometry", sorted(GEOMETRIES))
+@pytest.mark.parametrize("geometry", sorted(kinematics.GEOMETRIES))
 def test_motors_have_no_more_torque_than_the_clamp_needs_in_the_middle(geometry):
     """A pose that is believed wrongly turns the clamp into less than twice of it in the middle."""
     calibration = module.Calibration(geometry=geometry)
     torques = calibration.clamp_units / calibration.units_per_Nm
-    arms = np.linalg.svd(rates((0.0, 0.0, 0.120), GEOMETRIES[geometry]), compute_uv=False)
+    arms = np.linalg.svd(rates((0.0, 0.0, 0.120), kinematics.GEOMETRIES[geometry]), compute_uv=False)
     assert torques == pytest.approx(arms[0] * calibration.clamp_N, rel=0.05)
     assert torques / arms[-1] < 2.0 * calibration.clamp_N
     assert limits_of(calibration).motor_clamp == calibration.clamp_units

@@ -11,16 +11,12 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
+from tissueid.haptics.falcon import kinematics
 from tissueid.haptics.falcon.kinematics import (
     DEFAULT_GEOMETRY,
-    GEOMETRIES,
     Geometry,
-    WorkspaceError,
-    angles_of_counts,
     forward,
-    forward_kernel,
     inverse,
-    inverse_kernel,
     motor_units,
     torque,
 )
@@ -28,7 +24,7 @@ from tissueid.haptics.falcon.kinematics import (
 #: Counts of the legs' stops.
 STOP = 1600
 MIDDLE = np.array([0.0, 0.0, 0.130])
-both = pytest.mark.parametrize("geometry", GEOMETRIES.values(), ids=list(GEOMETRIES))
+both = pytest.mark.parametrize("geometry", kinematics.GEOMETRIES.values(), ids=list(kinematics.GEOMETRIES))
 
 
 def stops(geometry: Geometry) -> tuple[float, float]:
@@ -43,7 +39,7 @@ def reachable(geometry: Geometry, count: int, seed: int) -> FloatArray:
     found: list[FloatArray] = []
     while len(found) < count:
         position = random.uniform((-0.11, -0.11, 0.04), (0.11, 0.11, 0.19))
-        if inverse_kernel(position, block, angles) and angles.min() > low and angles.max() < high:
+        if kinematics.inverse_kernel(position, block, angles) and angles.min() > low and angles.max() < high:
             found.append(position)
     return np.array(found)
 
@@ -68,7 +64,7 @@ def test_inverse_of_forward_is_the_identity_everywhere_within_the_stops(geometry
     for angles in np.random.default_rng(2).uniform(*stops(geometry), (4000, 3)):
         try:
             position = forward(angles, geometry=geometry)
-        except WorkspaceError:
+        except kinematics.WorkspaceError:
             none += 1
         else:
             assert np.abs(inverse(position, geometry=geometry) - angles).max() < 1e-9
@@ -96,8 +92,8 @@ def test_tracking_takes_three_steps_and_a_cold_start_seven(geometry):
     cold, warm = [], []
     for position in working_sphere(500, seed=5):
         angles = inverse(position, geometry=geometry)
-        cold.append(forward_kernel(angles, block, np.array([0.0, 0.0, 0.12])))
-        warm.append(forward_kernel(angles, block, position + 3e-4))
+        cold.append(kinematics.forward_kernel(angles, block, np.array([0.0, 0.0, 0.12])))
+        warm.append(kinematics.forward_kernel(angles, block, position + 3e-4))
     # the last of them is rounding
     assert max(cold) <= 9
     assert np.median(warm) <= 3
@@ -129,13 +125,15 @@ def test_one_count_is_38_to_48_micrometres_and_is_an_angle_from_the_zero_angle()
     along_z = [1e6 * per_count * jacobian([0.0, 0.0, z])[2].sum() for z in (0.09, 0.13, 0.16)]
     assert all(35.0 < size < 55.0 for size in along_z)
     out = np.empty(3)
-    angles_of_counts(np.array([0, 1000, -1000]), replace(DEFAULT_GEOMETRY, zero_angle_deg=40.0).block(), out)
+    kinematics.angles_of_counts(
+        np.array([0, 1000, -1000]), replace(DEFAULT_GEOMETRY, zero_angle_deg=40.0).block(), out
+    )
     assert np.degrees(out) == pytest.approx([40.0, 40.0 + 36.4347, 40.0 - 36.4347], abs=1e-4)
 
 
 @pytest.mark.parametrize("position", [(0.0, 0.0, 0.30), (0.2, 0.0, 0.13), (0.0, 0.5, 0.1), (0.0,) * 3])
 def test_positions_out_of_reach_are_errors(position):
-    with pytest.raises(WorkspaceError, match="outside the workspace"):
+    with pytest.raises(kinematics.WorkspaceError, match="outside the workspace"):
         inverse(position)
     for kind in (DeviceError, ValueError):
         with pytest.raises(kind, match="no Jacobian"):
@@ -145,7 +143,7 @@ def test_positions_out_of_reach_are_errors(position):
 def test_angles_that_no_position_has_in_front_of_the_base_are_errors():
     behind = inverse((0.0, 0.0, -0.13))
     for angles in ((3.0, 0.0, 0.0), (-1.5, 1.6, 1.6), (2.5, 2.5, 2.5), (7.0, 0.6, 0.6), behind):
-        with pytest.raises(WorkspaceError, match="no grip position"):
+        with pytest.raises(kinematics.WorkspaceError, match="no grip position"):
             forward(angles)
 
 

@@ -19,15 +19,7 @@ from tissueid.haptics import parameter_block as pb
 from tissueid.haptics import ring as rings
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.parameter_block import ParameterBlock
-from tissueid.haptics.ring import (
-    CAPACITY,
-    HEAD_BYTES,
-    PUBLISHED_AT,
-    RECORD,
-    Ring,
-    read_ordered,
-    write_ordered,
-)
+from tissueid.haptics.ring import HEAD_BYTES, RECORD, Ring
 from tissueid.haptics.shared_hand import SIM_PARAMETERS, SharedHand
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice, simulated_advance
 from tissueid.rendering.servo import ServoPlan
@@ -82,8 +74,8 @@ class TestOrder:
     def test_what_is_written_is_read_and_no_neighbour_is_touched(self, monkeypatch, keeps_order):
         monkeypatch.setattr(rings, "_KEEPS_ORDER", keeps_order)
         words = np.arange(8)
-        write_ordered(words, 2, 2**53 + 1)
-        assert read_ordered(words, 2) == 2**53 + 1
+        rings.write_ordered(words, 2, 2**53 + 1)
+        assert rings.read_ordered(words, 2) == 2**53 + 1
         np.testing.assert_array_equal(np.delete(words, 2), [0, 1, 3, 4, 5, 6, 7])
 
     def test_a_machine_that_reorders_takes_the_compiled_ways(self, monkeypatch):
@@ -92,8 +84,8 @@ class TestOrder:
         monkeypatch.setattr(foreign, "load_acquire", lambda cell: called.append("load") or cell[0])
         monkeypatch.setattr(foreign, "store_release", lambda *_: called.append("store"))
         words = np.zeros(2, np.int64)
-        write_ordered(words, 1, 5)
-        read_ordered(words, 1)
+        rings.write_ordered(words, 1, 5)
+        rings.read_ordered(words, 1)
         assert called == ["store", "load"]
 
 
@@ -103,7 +95,7 @@ def write(ring: Ring, first: int, count: int) -> None:
         # more than one field of a record is the tick, so that a torn record shows
         record[["tick", "energy_J", "label"]] = tick, tick, tick % 2**16
         ring.records[ring.published % ring.records.size] = record
-        write_ordered(ring.head, PUBLISHED_AT, ring.published + 1)
+        rings.write_ordered(ring.head, rings.PUBLISHED_AT, ring.published + 1)
 
 
 class TestRing:
@@ -119,7 +111,7 @@ class TestRing:
         assert met < pages // 20
 
     def test_a_record_has_128_bytes_and_a_ring_a_minute(self):
-        assert (RECORD.itemsize, CAPACITY) == (128, 65_536)
+        assert (RECORD.itemsize, rings.CAPACITY) == (128, 65_536)
         assert RECORD.names[:9] == (
             "tick", "time_s", "dt_s", "position_m", "force_N", "depth_mm", "tissue_force_N", "speed_mm_per_s",
             "surface_mm",

@@ -10,20 +10,9 @@ import pytest
 from inference_cases import draw, handles_for, identified, small_recipe
 
 from tissueid.flags import Flag
+from tissueid.inference import choice
 from tissueid.inference.channel_law import kelvin_voigt_law, law_of
-from tissueid.inference.choice import (
-    BEND,
-    Rival,
-    Tried,
-    choice_of,
-    chosen_among,
-    describing,
-    groups_of,
-    held_out,
-    resolved,
-    shown,
-    table_of,
-)
+from tissueid.inference.choice import Rival
 from tissueid.inference.specimen import _one_form, rival_flags
 from tissueid.inference.window import FOLDS
 from tissueid.model.base import ContactPath
@@ -74,7 +63,7 @@ def tried(branches, degree, errors, law=None, sigma_N=1.0, logs=3, badness=0.0):
     noise = SimpleNamespace(sigma_N=sigma_N)
     optimum = SimpleNamespace(point=point, covariance=1e-4 * np.eye(law.times + law.linear), noise=noise)
     system = SimpleNamespace(law=law, logs=[None] * logs)
-    return Tried(branches, degree, optimum, system, np.array(errors), badness)
+    return choice.Tried(branches, degree, optimum, system, np.array(errors), badness)
 
 
 def named(name, errors, sigma_N=1.0):
@@ -87,11 +76,13 @@ NEAR, FAR = [1.0, 1.1, 0.9, 1.0], [2.0, 2.1, 2.0, 1.9]
 
 def test_a_law_of_fewer_parameters_that_predicts_as_well_is_chosen():
     paper, simple = tried(2, 1, NEAR), named("power * power-law", [1.0, 1.2, 0.9, 1.0])
-    found = choice_of(paper, [simple], choose=True)
+    found = choice.choice_of(paper, [simple], choose=True)
     assert found.chosen is simple
     (beside,) = found.rivals
     assert beside.name == "polynomial * linear * prony:2"
-    rows = table_of([{"branches": 2, "stiffness_degree": 1, "score": 0.0, "chosen": True}], found, paper)
+    rows = choice.table_of(
+        [{"branches": 2, "stiffness_degree": 1, "score": 0.0, "chosen": True}], found, paper
+    )
     assert [row["chosen"] for row in rows] == [False, True]
     assert rows[0]["score"] == pytest.approx(beside.gain)
     assert rows[1]["model"] == "power * power-law"
@@ -100,53 +91,53 @@ def test_a_law_of_fewer_parameters_that_predicts_as_well_is_chosen():
 def test_what_misses_all_logs_is_no_candidate_though_it_predicts_alike():
     """Differences between logs drown in their prediction what a law misses in every one of them."""
     plain, right = tried(1, 2, NEAR, sigma_N=2.0), tried(2, 2, NEAR)
-    assert chosen_among([plain, right])[0] is plain
-    assert describing([plain, right]) == [right]
+    assert choice.chosen_among([plain, right])[0] is plain
+    assert choice.describing([plain, right]) == [right]
     # of one log the prediction itself tells
     alone = [tried(1, 2, NEAR, sigma_N=2.0, logs=1), tried(2, 2, NEAR, logs=1)]
-    assert describing(alone) == alone
+    assert choice.describing(alone) == alone
 
 
 def test_a_law_that_lacks_a_branch_in_all_logs_is_no_candidate_beside_another_kind():
     paper = tried(3, 2, FAR, sigma_N=1.0)
     fewer, more = (named(f"polynomial * tangent * prony:{n}", NEAR, s) for n, s in ((1, 1.8), (2, 1.0)))
-    assert choice_of(paper, [fewer, more], choose=True).chosen is more
+    assert choice.choice_of(paper, [fewer, more], choose=True).chosen is more
     # a law of another kind may miss as much, and one branch is taken where it describes as well
-    assert choice_of(paper, [fewer], choose=True).chosen is fewer
+    assert choice.choice_of(paper, [fewer], choose=True).chosen is fewer
     alike = named("polynomial * tangent * prony:1", NEAR, 1.1)
-    assert choice_of(paper, [alike, more], choose=True).chosen is alike
+    assert choice.choice_of(paper, [alike, more], choose=True).chosen is alike
 
 
 def test_a_branch_too_many_of_another_law_is_a_row_and_counts_for_nothing():
     names = [f"polynomial * tangent * prony:{n}" for n in (1, 2)]
-    found = choice_of(tried(1, 0, NEAR), [named(one, NEAR) for one in names], choose=False)
+    found = choice.choice_of(tried(1, 0, NEAR), [named(one, NEAR) for one in names], choose=False)
     assert [one.name for one in found.rivals] == names
     assert [one.name for one in found.simplest] == names[:1]
     # a gain that is sure, and short of a fifth, is as good
-    assert rival(0.5 * BEND, 0.0, stderr=1e-3).as_good
+    assert rival(0.5 * choice.BEND, 0.0, stderr=1e-3).as_good
 
 
 def test_of_as_many_parameters_the_papers_law_is_kept_and_unasked_always():
     paper, other = tried(1, 0, NEAR), named("polynomial * tangent * prony:1", [0.99, 1.09, 0.9, 1.0])
-    assert choice_of(paper, [other], choose=True).chosen is paper
+    assert choice.choice_of(paper, [other], choose=True).chosen is paper
     better = named("power * fung", [0.1, 0.1, 0.1, 0.1])
-    assert choice_of(paper, [better], choose=False).chosen is paper
-    assert choice_of(paper, [better], choose=True).chosen is better
+    assert choice.choice_of(paper, [better], choose=False).chosen is paper
+    assert choice.choice_of(paper, [better], choose=True).chosen is better
 
 
 def test_the_yardstick_is_a_row_and_never_chosen():
     paper, mark = tried(1, 0, FAR), named("power * fung", NEAR)
     law = replace(mark.law, model_of=replace(mark.law.model_of, name="yardstick"))
-    found = choice_of(paper, [tried(1, 0, NEAR, law)], choose=True)
+    found = choice.choice_of(paper, [tried(1, 0, NEAR, law)], choose=True)
     assert found.chosen is paper
     assert found.rivals == ()
     assert found.mark.gain > 0.5
-    assert [row.get("model") for row in table_of([], found, paper)] == ["yardstick"]
+    assert [row.get("model") for row in choice.table_of([], found, paper)] == ["yardstick"]
 
 
 def test_the_simplest_within_one_standard_error_is_chosen():
     best, close, worse = tried(2, 1, NEAR), tried(1, 0, [1.0, 1.3, 0.9, 1.0]), tried(1, 1, FAR)
-    found, table, as_good = chosen_among([worse, close, best])
+    found, table, as_good = choice.chosen_among([worse, close, best])
     assert found is close
     assert as_good == [close, best]
     assert [row["chosen"] for row in table] == [True, False, False]
@@ -155,13 +146,13 @@ def test_the_simplest_within_one_standard_error_is_chosen():
     assert table[0]["score"] == pytest.approx(-gain.mean())
     assert table[0]["stderr"] == pytest.approx(gain.std(ddof=1) / 2.0)
     # a clear gain is worth its parameters
-    assert chosen_among([worse, best])[0] is best
+    assert choice.chosen_among([worse, best])[0] is best
     # two groups alike: the gain of the third is its own standard error, whatever it is
     simple = tried(1, 1, [1.0, 5.0, 1.0])
-    assert chosen_among([simple, tried(1, 2, [1.0, 1.0, 1.0])])[0] is simple
+    assert choice.chosen_among([simple, tried(1, 2, [1.0, 1.0, 1.0])])[0] is simple
     # but for one that is missed by far
     far = tried(1, 1, [1.0, 50.0, 1.0])
-    assert chosen_among([far, (better := tried(1, 2, [1.0, 1.0, 1.0]))])[0] is better
+    assert choice.chosen_among([far, (better := tried(1, 2, [1.0, 1.0, 1.0]))])[0] is better
 
 
 @pytest.mark.parametrize(
@@ -176,7 +167,7 @@ def test_the_simplest_within_one_standard_error_is_chosen():
 def test_what_is_left_out_is_a_speed_a_depth_a_log_or_a_stretch(rows, kind, of):
     facts = [SimpleNamespace(speeds_mm_s=(v,), depth_mm=d) for v, d in rows]
     system = SimpleNamespace(log=np.array([0, 0, 1, 2, 3]), fold=np.array([0, 7, 1, 2, 3]))
-    found = groups_of(system, facts)
+    found = choice.groups_of(system, facts)
     assert (found.kind, found.of.tolist()) == (kind, of)
 
 
@@ -186,9 +177,9 @@ def test_the_error_of_what_was_left_out_is_that_of_fits_without_it():
     handles = handles_for(draw(recipe, 4))
     ours = identified(handles, pooling="shared", noise="white")
     facts = [handle.facts for handle in handles]
-    groups = groups_of(ours.system, facts)
+    groups = choice.groups_of(ours.system, facts)
     assert groups.kind == "speed"
-    found = held_out(ours.system, ours.optimum, groups)
+    found = choice.held_out(ours.system, ours.optimum, groups)
     for number, error in enumerate(found):
         out = np.unique(ours.system.log[groups.of == number])
         rest = [one for k, one in enumerate(handles) if k not in out]
@@ -202,24 +193,24 @@ def test_the_error_of_what_was_left_out_is_that_of_fits_without_it():
 
 def test_a_branch_faster_than_the_sampling_or_below_the_noise_is_not_resolved():
     ours = identified(handles_for(draw(small_recipe(branches=TWO, logs=LOGS), 1)), branches=(2,))
-    one = Tried(2, 0, ours.optimum, ours.system, np.ones(3))
-    assert resolved(one, 0.01)
-    assert not resolved(one, 0.1)
+    one = choice.Tried(2, 0, ours.optimum, ours.system, np.ones(3))
+    assert choice.resolved(one, 0.01)
+    assert not choice.resolved(one, 0.1)
 
 
 def test_a_third_branch_of_one_program_has_to_gain_a_fifth_and_be_shown_by_the_logs_themselves():
     base = np.array([1.0, 1.2, 0.9])
     plain, slight = tried(2, 1, base), tried(3, 1, 0.93 * base, badness=-20.0)
-    assert shown([plain, slight], one_program=True) == [plain]
-    assert shown([plain, slight], one_program=False) == [plain, slight]
+    assert choice.shown([plain, slight], one_program=True) == [plain]
+    assert choice.shown([plain, slight], one_program=False) == [plain, slight]
     much, luck = (tried(3, 1, 0.7 * base, badness=-gain) for gain in (20.0, 10.0))
-    assert shown([plain, much], one_program=True) == [plain, much]
+    assert choice.shown([plain, much], one_program=True) == [plain, much]
     # a second branch needs no such gain, but to be seen
     one, two = tried(1, 0, base), tried(2, 0, 0.97 * base, badness=0.6)
-    assert shown([one, replace(two, badness=-20.0)], one_program=True)[1].branches == 2
+    assert choice.shown([one, replace(two, badness=-20.0)], one_program=True)[1].branches == 2
     for one_program in (True, False):
-        assert shown([plain, luck], one_program=one_program) == [plain]
-        assert shown([one, two], one_program=one_program) == [one]
+        assert choice.shown([plain, luck], one_program=one_program) == [plain]
+        assert choice.shown([one, two], one_program=one_program) == [one]
 
 
 PAPER = small_recipe(branches=(Branch((10.0, 12.0), 0.3),), logs=LOGS, sigma_N=0.1)
@@ -269,7 +260,7 @@ def test_a_law_is_better_or_ties_and_disagrees(gain, apart, better, disagrees):
     one = rival(gain, apart)
     assert (one.better, one.disagrees) == (better, disagrees)
     # a gain that is sure but small is none
-    assert not rival(0.9 * BEND, 0.0, stderr=1e-3).better
+    assert not rival(0.9 * choice.BEND, 0.0, stderr=1e-3).better
 
 
 def test_one_remark_on_the_form_is_enough():

@@ -11,19 +11,8 @@ from scipy.stats import binomtest, t
 
 from tissueid.documents import plain
 from tissueid.documents.identification import NoiseFit
+from tissueid.inference import residual_blocks
 from tissueid.inference.optimum import covariance_of
-from tissueid.inference.residual_blocks import (
-    BETWEEN_FREEDOM,
-    BETWEEN_LN_TAU,
-    HOLD_BLOCKS_PER_DECADE,
-    LOGS_AS_CLUSTERS,
-    NORMAL_975,
-    ResidualBlocks,
-    block_covariance,
-    misfit_alarm,
-    sandwich_covariance,
-    shared_structure,
-)
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.inference.target import SpecimenTarget
 from tissueid.synth import Branch, Hold, Log, Move, recipe, simulate
@@ -47,7 +36,7 @@ def alarm_for(plan, seed, **options):
     chosen = FitOptions(**{"branches": 1, "stiffness_degree": 0, "static": "partial", **options})
     handles = handles_for(simulate(plan, rng=np.random.default_rng(seed)))
     found = fit_with_state("s", handles, options=chosen, machine=False)
-    return misfit_alarm(found.told.blocks, found.noise), found
+    return residual_blocks.misfit_alarm(found.told.blocks, found.noise), found
 
 
 def with_logs(plan, count):
@@ -94,7 +83,7 @@ def made_blocks(mean, *, count=100, step=0.01, place=None, hold=True):
     """Blocks of equal length with given means and nothing fitted."""
     k = len(mean)
     start = np.arange(k) * count * step
-    return ResidualBlocks(
+    return residual_blocks.ResidualBlocks(
         phase=np.zeros(k, dtype=np.int64),
         hold=np.full(k, hold),
         place=np.arange(k) if place is None else np.asarray(place),
@@ -128,7 +117,9 @@ def test_covariance_of_block_means_is_that_of_the_noise_summed_directly(model, p
             lag = np.abs(one[:, None] - other)
             rho = np.where(lag == 0, 1.0, lag_one * phi ** np.maximum(lag - 1, 0))
             expected[i, j] = 1.3**2 * rho.mean()
-    np.testing.assert_allclose(block_covariance(blocks, noise), expected, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(
+        residual_blocks.block_covariance(blocks, noise), expected, rtol=1e-9, atol=1e-15
+    )
 
 
 def test_blocks_hold_the_mean_residual_of_their_samples():
@@ -140,7 +131,7 @@ def test_blocks_hold_the_mean_residual_of_their_samples():
     assert residual.size == log.data.time_s.size
     hold = handle.segmentation.of_kind("hold")[0]
     since = log.data.time_s[hold.start + 1 : hold.stop] - hold.start_s
-    place = np.floor(HOLD_BLOCKS_PER_DECADE * np.log10(since) + 1e-12)
+    place = np.floor(residual_blocks.HOLD_BLOCKS_PER_DECADE * np.log10(since) + 1e-12)
     for wanted in (-2, 0, 2):
         at = int(np.flatnonzero(blocks.hold & (blocks.place == wanted))[0])
         expected = residual[hold.start + 1 : hold.stop][place == wanted]
@@ -155,12 +146,12 @@ def test_structure_that_repeats_is_found_and_independent_blocks_are_not():
     quiet = [made_blocks(0.1 * rng.standard_normal(12)) for _ in range(12)]
     shape = 0.15 * np.exp(-np.arange(12) / 4.0)
     loud = [replace(one, mean_N=one.mean_N + shape) for one in quiet]
-    _, p_quiet, _ = shared_structure(quiet, noise, rng=np.random.default_rng(0))
-    _, p_loud, words = shared_structure(loud, noise, rng=np.random.default_rng(0))
+    _, p_quiet, _ = residual_blocks.shared_structure(quiet, noise, rng=np.random.default_rng(0))
+    _, p_loud, words = residual_blocks.shared_structure(loud, noise, rng=np.random.default_rng(0))
     assert p_quiet > 0.05
     assert p_loud <= 0.005
     assert "hold" in words
-    assert shared_structure(quiet[:7], noise, rng=np.random.default_rng(0)) is None
+    assert residual_blocks.shared_structure(quiet[:7], noise, rng=np.random.default_rng(0)) is None
 
 
 def test_noise_of_the_model_keeps_the_level_of_shared_structure():
@@ -169,11 +160,11 @@ def test_noise_of_the_model_keeps_the_level_of_shared_structure():
     found = []
     for _ in range(200):
         logs = [made_blocks(np.cumsum(rng.standard_normal(10))) for _ in range(10)]
-        found.append(shared_structure(logs, noise, rng=np.random.default_rng(0))[1])
+        found.append(residual_blocks.shared_structure(logs, noise, rng=np.random.default_rng(0))[1])
     # 200 draws: 10 expected below 0.05, 20 has a chance of 0.2 %
     assert (np.array(found) < 0.05).sum() <= 20
     for logs, sigma in (([], 1.0), ([made_blocks([])], 1.0), ([made_blocks([0.1])], 0.0)):
-        assert not misfit_alarm(logs, NoiseFit("white", sigma, 0.0, 0.01)).raised
+        assert not residual_blocks.misfit_alarm(logs, NoiseFit("white", sigma, 0.0, 0.01)).raised
 
 
 @pytest.mark.system
@@ -226,7 +217,7 @@ def test_residuals_that_follow_each_other_give_a_larger_covariance(pooling, nois
     ratios, worths = [], []
     for seed in range(3):
         at = target(seed, pooling=pooling, **noise)
-        found, told = sandwich_covariance(at)
+        found, told = residual_blocks.sandwich_covariance(at)
         # tau and coefficients, over those of independent samples: never less
         ratios.append(np.sqrt(np.diag(found) / np.diag(covariance_of(at.precision)))[: at.n_shared - 3])
         worths.append(told)
@@ -240,7 +231,7 @@ def test_intervals_of_correlated_noise_hold_the_truth():
     inside = np.zeros(2)
     for seed in range(100):
         at = target(seed, **FOLLOWING)
-        variances = [sandwich_covariance(at)[0][0, 0], covariance_of(at.precision)[0, 0]]
+        variances = [residual_blocks.sandwich_covariance(at)[0][0, 0], covariance_of(at.precision)[0, 0]]
         inside += abs(at.mode[0] - np.log(0.021)) <= 1.96 * np.sqrt(variances)
     # three binomial standard deviations; those of independent samples do not
     assert inside[0] >= 88
@@ -252,21 +243,21 @@ def test_two_logs_carry_the_stated_spread_between_places():
     few = target(logs=TWELVE[:2], sigma_N=0.1)
     k = few.names.index("ln_tau_1")
     plain = float(np.sqrt(covariance_of(few.precision)[k, k]))
-    found = float(np.sqrt(sandwich_covariance(few)[0][k, k]))
-    freedom = BETWEEN_FREEDOM + 1
-    stated = BETWEEN_LN_TAU * np.sqrt(BETWEEN_FREEDOM / freedom / 2.0)
-    wide = float(t.ppf(0.975, freedom)) / NORMAL_975
+    found = float(np.sqrt(residual_blocks.sandwich_covariance(few)[0][k, k]))
+    freedom = residual_blocks.BETWEEN_FREEDOM + 1
+    stated = residual_blocks.BETWEEN_LN_TAU * np.sqrt(residual_blocks.BETWEEN_FREEDOM / freedom / 2.0)
+    wide = float(t.ppf(0.975, freedom)) / residual_blocks.NORMAL_975
     assert plain < 0.3 * stated
     assert 0.8 * stated * wide < found < 1.6 * stated * wide
     many = target(sigma_N=0.1)
-    assert len(many.system.logs) >= LOGS_AS_CLUSTERS
-    assert float(np.sqrt(sandwich_covariance(many)[0][k, k])) < 0.5 * stated
+    assert len(many.system.logs) >= residual_blocks.LOGS_AS_CLUSTERS
+    assert float(np.sqrt(residual_blocks.sandwich_covariance(many)[0][k, k])) < 0.5 * stated
 
 
 def test_directions_of_the_prior_keep_it():
     """Where data say nothing, clusters don't either."""
     at = target(sigma_N=0.3)
-    found, _ = sandwich_covariance(at)
+    found, _ = residual_blocks.sandwich_covariance(at)
     plain = covariance_of(at.precision)
     inverse = np.linalg.inv(np.linalg.cholesky(plain))
     assert np.linalg.eigvalsh(inverse @ found @ inverse.T).min() >= 0.99

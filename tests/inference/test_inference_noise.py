@@ -12,15 +12,8 @@ from inference_cases import draw, handles_for, identified, small_recipe
 from scipy.signal import lfilter
 
 from tissueid import FitOptions, IdentifyOptions, identify, read_trials
-from tissueid.inference.evidence import (
-    HOLD_DEGREE,
-    LogEvidence,
-    NoiseVerdict,
-    _quiet,
-    log_evidence,
-    scan_memory,
-    verdict_on_noise,
-)
+from tissueid.inference import evidence
+from tissueid.inference.evidence import LogEvidence, _quiet
 from tissueid.inference.noise import Memory, whitener
 from tissueid.inference.optimum import Noise
 from tissueid.inference.specimen import fit_with_state
@@ -125,12 +118,12 @@ def noise_of(residual: np.ndarray) -> Noise:
 
 def judged(
     residual: np.ndarray, quiet: slice | None, *, quantum: float = 0.0, alone: bool = False
-) -> NoiseVerdict:
+) -> evidence.NoiseVerdict:
     count = residual.size
     time = SLOW_STEP * np.arange(count)
-    stretches = () if quiet is None else (_quiet(time[quiet], residual[quiet], HOLD_DEGREE),)
+    stretches = () if quiet is None else (_quiet(time[quiet], residual[quiet], evidence.HOLD_DEGREE),)
     log = LogEvidence(stretches, white_noise_sd(time, residual), quantum, count)
-    return verdict_on_noise(noise_of(residual), [log], step_s=SLOW_STEP, alone=alone)
+    return evidence.verdict_on_noise(noise_of(residual), [log], step_s=SLOW_STEP, alone=alone)
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.5, 0.9, 0.99])
@@ -190,7 +183,7 @@ LOGS = tuple(Log(f"hold-{v:.0f}", (Move(4.0, v), Hold(8.0))) for v in (60.0, 240
 def scanned(model="auto", seed=1, logs=LOGS, **noise):
     ours = identified(handles_for(draw(small_recipe(logs=logs, **noise), seed)), noise="white")
     parts = ours.system.derivatives(ours.optimum.point, machine=False)
-    return scan_memory(
+    return evidence.scan_memory(
         ours.system, ours.optimum.point, parts, ours.optimum.prior,
         step_s=STEP, rough_N=ours.optimum.noise.sigma_N, model=model,
     )  # fmt: skip
@@ -207,7 +200,9 @@ def test_noise_stays_where_priors_pull_logs_far_from_where_they_are(model):
     away = best.point.moved(best.point.shared, own)
     parts = ours.system.derivatives(away, machine=False)
     tight = replace(best.prior, own=1e8 * np.ones(own.shape))
-    found = scan_memory(ours.system, away, parts, tight, step_s=STEP, rough_N=best.noise.sigma_N, model=model)
+    found = evidence.scan_memory(
+        ours.system, away, parts, tight, step_s=STEP, rough_N=best.noise.sigma_N, model=model
+    )
     assert found.sigma_N > 0.1 * best.noise.sigma_N
 
 
@@ -283,6 +278,5 @@ def test_the_corner_of_the_retract_is_no_noise_of_the_hold() -> None:
     trial = Trial("cut", time, depth, force)
     segmentation = segment(trial)
     log = fitted_log(trial, segmentation)
-    assert log is not None
-    (stretch,) = log_evidence(trial, segmentation, log).quiet
+    (stretch,) = evidence.log_evidence(trial, segmentation, log).quiet
     assert np.std(stretch.left_N) == pytest.approx(sigma, rel=0.2)

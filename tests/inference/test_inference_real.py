@@ -26,7 +26,6 @@ def half(interval: tuple[float, float]) -> float:
 
 def inside(fit: SpecimenFit) -> float:
     """Share of the fitted samples within their predictive bands."""
-    assert fit.posterior is not None
     held = []
     for trial in fit.trials:
         (low, _, high), on = fit.posterior.bands[trial.path, trial.sheet], trial.curve.fitted

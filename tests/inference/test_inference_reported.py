@@ -13,24 +13,11 @@ from scipy.optimize import brentq
 
 from tissueid.documents.identification import NoiseFit, Nrmsd
 from tissueid.flags import Flag
+from tissueid.inference import reported, verdict
 from tissueid.inference.estimates import ProfileInterval, TissueEstimate
-from tissueid.inference.reported import (
-    BAND_DRAWS,
-    TOTAL,
-    interval95,
-    predictive_bands,
-    reported_draws,
-    uncertainty_budget,
-)
+from tissueid.inference.reported import BAND_DRAWS, interval95, reported_draws, uncertainty_budget
 from tissueid.inference.system import MACHINE
-from tissueid.inference.verdict import (
-    discrepancy_flags,
-    outside,
-    reaching,
-    specimen_flags,
-    unsampled,
-    withheld,
-)
+from tissueid.inference.verdict import outside, withheld
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.result import Estimate, SpecimenFit
 from tissueid.uncertainty import ParameterUncertainty
@@ -55,7 +42,7 @@ def bands_of(
         system=system, forces=lambda x: np.stack([change_of(force, one[0]) for one in x])
     )
     vectors = np.random.default_rng(0).standard_normal((BAND_DRAWS, 1)) if vectors is None else vectors
-    return fit, list(predictive_bands(fit, target, vectors, sigma_N=SIGMA).values())  # type: ignore[arg-type]
+    return fit, list(reported.predictive_bands(fit, target, vectors, sigma_N=SIGMA).values())  # type: ignore[arg-type]
 
 
 FAR_OUT = np.where(np.arange(BAND_DRAWS) == 3, 1e4, 0.0)[:, None]
@@ -113,14 +100,14 @@ def drawn(n=40_000, seed=1):
 def test_shares_are_those_of_the_linear_dependence():
     vectors, gains, value = drawn()
     rows = {row.source: row for row in uncertainty_budget(target(), vectors, gains, {"a": 50.0 + value})}
-    assert set(rows) == {"noise", TOTAL, *PARTS}
+    assert set(rows) == {"noise", reported.TOTAL, *PARTS}
     whole = sum(one**2 for one in PARTS.values()) + NOISE**2
     for name, part in {**PARTS, "noise": NOISE}.items():
         # 40,000 draws know a covariance to half a per cent of the whole
         assert rows[name].share == pytest.approx(part**2 / whole, abs=0.02), name
         assert rows[name].sd == pytest.approx(abs(part), abs=0.15), name
-    assert rows[TOTAL].share is None
-    assert rows[TOTAL].sd == pytest.approx(value.std(), rel=1e-9)
+    assert rows[reported.TOTAL].share is None
+    assert rows[reported.TOTAL].sd == pytest.approx(value.std(), rel=1e-9)
     assert sum(row.share for row in rows.values() if row.share is not None) == pytest.approx(1.0)
 
 
@@ -129,12 +116,12 @@ def test_every_parameter_has_its_rows_noise_first_and_the_total_last():
     rows = uncertainty_budget(target(), vectors, gains, {"a": value, "b": 2.0 * value})
     assert [row.parameter for row in rows] == ["a"] * 8 + ["b"] * 8
     assert [(row.source, last.source) for row, last in zip(rows[::8], rows[7::8], strict=True)] == [
-        ("noise", TOTAL)
+        ("noise", reported.TOTAL)
     ] * 2
     assert rows[8 + 3].sd == pytest.approx(2.0 * rows[3].sd)
     free = np.array([name not in {"contact", "skew_s"} for name in NAMES])
     held = {row.source for row in uncertainty_budget(target(free), vectors, gains, {"a": value})}
-    assert held == {"noise", "frame", "force filter", "force gain", "displacement gain", TOTAL}
+    assert held == {"noise", "frame", "force filter", "force gain", "displacement gain", reported.TOTAL}
 
 
 def test_what_is_known_exactly_has_no_share():
@@ -197,7 +184,7 @@ def test_an_interval_reaches_to_logs_fitted_alone_where_they_have_it_elsewhere(p
     name, found = "static_1_N_per_mm", uncertainties(draws(OPTIMUM, np.random.default_rng(1)))
     found[name] = replace(found[name], prediction95=prediction)
     values = {one.name: one.value for one in tissue().parameters}
-    out, flags = reaching(values, dict.fromkeys(values, "a"), found)
+    out, flags = verdict.reaching(values, dict.fromkeys(values, "a"), found)
     assert {key for key in out if out[key] != found[key]} == ({name} if reaches else set())
     if reaches:
         own = out[name]
@@ -211,7 +198,7 @@ def test_an_interval_reaches_to_logs_fitted_alone_where_they_have_it_elsewhere(p
 def test_a_fit_without_draws_keeps_its_values_and_identifies_none() -> None:
     fit = specimen_fit()
     flag = Flag("sampler_not_converged", "too few draws")
-    bare = unsampled(fit, "no posterior could be sampled", (flag,))
+    bare = verdict.unsampled(fit, "no posterior could be sampled", (flag,))
     assert [one.value for one in bare.parameters] == [one.value for one in fit.parameters]
     assert not any(one.identified for one in bare.parameters)
     assert bare.flags == (*fit.flags, flag)
@@ -266,7 +253,7 @@ def flags(
         for one in speeds
     ]
     trials = [SimpleNamespace(residual_acf1=acf) for _ in speeds]
-    found = specimen_flags(tissue, facts, trials, sigma_N=sigma, optimisers=optimisers)
+    found = verdict.specimen_flags(tissue, facts, trials, sigma_N=sigma, optimisers=optimisers)
     return {flag.code: flag for flag in found}
 
 
@@ -346,11 +333,11 @@ def test_amplitude_of_a_stiffness_that_ends_at_zero():
 )
 def test_a_residual_of_the_size_of_the_noise_is_not_said_to_exceed_it(sigma, said):
     noise = SimpleNamespace(discrepant=True, measured_N=0.1, sigma_N=sigma, samples_per_independent=4.0)
-    (flag,) = discrepancy_flags(noise, SimpleNamespace(range=0.01))
+    (flag,) = verdict.discrepancy_flags(noise, SimpleNamespace(range=0.01))
     assert said in flag.message
 
 
 @pytest.mark.parametrize(("share", "codes"), [(4e-8, []), (0.02, ["discrepancy"])])
 def test_what_rounding_leaves_of_a_log_without_noise_is_no_discrepancy(share, codes):
     noise = NoiseFit("white", 100.0 * share, 0.0, 0.001, measured_N=1e-12, samples_per_independent=1.1)
-    assert [one.code for one in discrepancy_flags(noise, Nrmsd(share, share, 100.0 * share))] == codes
+    assert [one.code for one in verdict.discrepancy_flags(noise, Nrmsd(share, share, 100.0 * share))] == codes

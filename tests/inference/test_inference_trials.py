@@ -9,15 +9,10 @@ import pytest
 from inference_cases import model_force
 from scipy.signal import lfilter
 
+from tissueid.inference import trials
 from tissueid.inference.residual_blocks import residual_blocks
 from tissueid.inference.summaries import BINS, residual_summary
-from tissueid.inference.trials import (
-    CORNER_POINTS,
-    CURVE_POINTS,
-    Adjustment,
-    nrmsd,
-    summarise_trial,
-)
+from tissueid.inference.trials import Adjustment
 from tissueid.inference.window import fitted_log
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import kelvin_voigt
@@ -48,7 +43,7 @@ def recorded(sigma=0.0, n=5000, spike=None, seed=0):
 
 def summed(trial, segmentation, log, adjustment=NEITHER):
     fitted = model_force(MODEL, THETA, log, adjustment)
-    return summarise_trial(trial, segmentation, log, fitted=fitted, adjustment=adjustment)
+    return trials.summarise_trial(trial, segmentation, log, fitted=fitted, adjustment=adjustment)
 
 
 def summary(trial, segmentation, log, adjustment=NEITHER):
@@ -100,7 +95,7 @@ def test_a_short_curve_is_kept_whole_and_totals_are_of_all_samples():
 def test_decimation_keeps_ends_and_extremes():
     trial, segmentation, log = recorded(sigma=0.2, n=60_000, spike=31_234)
     curve = summary(trial, segmentation, log).curve
-    assert curve.time_s.size <= CURVE_POINTS + 2
+    assert curve.time_s.size <= trials.CURVE_POINTS + 2
     assert curve.time_s[0] == 0.0
     assert curve.time_s[-1] == pytest.approx(trial.time_s[-1])
     assert curve.force_N.max() == trial.force_N.max()
@@ -139,7 +134,7 @@ def test_excluded_samples_stay_in_the_curve_and_out_of_the_numbers():
     ],
 )
 def test_deviation_by_range_by_mean_and_in_newtons(force, model, by_range, by_mean, rmse):
-    found = nrmsd(np.array(force), np.array(model))
+    found = trials.nrmsd(np.array(force), np.array(model))
     assert (found.range, found.mean, found.rmse_N) == pytest.approx((by_range, by_mean, rmse))
 
 
@@ -194,9 +189,9 @@ def test_the_autocorrelation_is_the_direct_one_and_means_of_the_hold_stand_since
 
 def test_the_kept_curve_follows_relaxation_behind_the_corner():
     curve = summary(*recorded(n=60_000)).curve
-    assert curve.time_s.size <= CURVE_POINTS + 2
+    assert curve.time_s.size <= trials.CURVE_POINTS + 2
     since = curve.time_s - 2.0
     # of 60,000 samples some 2,500 bins of 48 ms: the first of them alone would show nothing below
     early = since[(since > 0.0) & (since < 0.048)]
-    assert early.size >= CORNER_POINTS // 4
+    assert early.size >= trials.CORNER_POINTS // 4
     assert early.min() == pytest.approx(0.002)

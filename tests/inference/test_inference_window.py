@@ -14,14 +14,7 @@ from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.logs import blocks_of
 from tissueid.inference.rounds import LawSurface
 from tissueid.inference.system import Effects, Point, System
-from tissueid.inference.window import (
-    FOLDS,
-    GUARD_SD,
-    STRETCHES,
-    LogData,
-    assign_folds,
-    fitted_log,
-)
+from tissueid.inference.window import FOLDS, GUARD_SD, STRETCHES, LogData, assign_folds, fitted_log
 from tissueid.measured.relaxation import relaxation_rows
 from tissueid.model.base import ContactPath
 from tissueid.pipeline import identify

@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
-from tissueid.measured.relaxation import (
-    TAU_ABOVE_LENGTH,
-    TAU_BELOW_STEP,
-    ExponentialSums,
-    curve_of,
-    kernel_basis,
-    relaxation_rows,
-)
+from tissueid.measured import relaxation
 from tissueid.trial import Contact, Phase, Protocol, Segmentation, Trial
 
 JIT_OFF = os.environ.get("NUMBA_DISABLE_JIT") == "1"
@@ -30,8 +23,8 @@ def decay(time, plateau, amplitudes, taus):
 
 def fit_exponentials(time, force, count):
     """Relaxation times of the fit with so many exponentials, and its curve."""
-    tau = ExponentialSums.of(time, force).ladder(count)[-1]
-    return tau, curve_of(time, force, tau)
+    tau = relaxation.ExponentialSums.of(time, force).ladder(count)[-1]
+    return tau, relaxation.curve_of(time, force, tau)
 
 
 @pytest.mark.parametrize(
@@ -137,13 +130,13 @@ PLAIN = hold_trial(lambda t: decay(t, 20.0, [10.0], [2.0]))
 def row_of(amplitudes, taus, *, noise_N=0.0, **made):
     """The one row of a hold that relaxes to 20 N, and its flags."""
     trial = hold_trial(lambda t: decay(t, 20.0, amplitudes, taus), **made)
-    (row,) = relaxation_rows(trial, true_segmentation(trial, noise_N=noise_N))
+    (row,) = relaxation.relaxation_rows(trial, true_segmentation(trial, noise_N=noise_N))
     return row, {flag.code: flag for flag in row.flags}
 
 
 def test_window_runs_from_the_stop_to_the_end_of_the_hold():
     trial = PLAIN
-    (row,) = relaxation_rows(trial, true_segmentation(trial))
+    (row,) = relaxation.relaxation_rows(trial, true_segmentation(trial))
     assert row.window_s == pytest.approx((1.0, 31.0))
     assert row.peak_force_N == pytest.approx(30.0)
     assert row.tau_single_s == pytest.approx(2.0, rel=1e-5)
@@ -156,7 +149,7 @@ def test_a_peak_before_the_stop_is_the_peak_and_not_in_the_window():
     force = trial.force_N.copy()
     force[19] = 31.0
     early = Trial("s", trial.time_s, trial.displacement_mm, force, trial.protocol)
-    (row,) = relaxation_rows(early, true_segmentation(early))
+    (row,) = relaxation.relaxation_rows(early, true_segmentation(early))
     assert row.window_s[0] == pytest.approx(1.0)
     assert row.tau_single_s == pytest.approx(2.0, rel=1e-5)
     assert row.peak_force_N == pytest.approx(31.0)
@@ -164,11 +157,11 @@ def test_a_peak_before_the_stop_is_the_peak_and_not_in_the_window():
 
 def test_forces_recorded_with_the_other_sign_and_a_baseline_give_the_same_row():
     trial = PLAIN
-    (row,) = relaxation_rows(trial, true_segmentation(trial))
+    (row,) = relaxation.relaxation_rows(trial, true_segmentation(trial))
     flipped = Trial("s", trial.time_s, -trial.displacement_mm, 3.0 - trial.force_N, trial.protocol)
     phases = true_segmentation(trial).phases
     segmentation = Segmentation(-1, -1, Contact(0, 0.0, 1e-4, baseline_N=3.0), phases, 0.0)
-    (same,) = relaxation_rows(flipped, segmentation)
+    (same,) = relaxation.relaxation_rows(flipped, segmentation)
     assert same.tau_single_s == pytest.approx(row.tau_single_s, rel=1e-9)
     assert same.peak_force_N == pytest.approx(row.peak_force_N)
 
@@ -203,10 +196,10 @@ def test_relaxation_faster_than_sampling_is_flagged():
 def test_no_hold_or_no_contact_no_row():
     time = np.arange(200) * 0.01
     trial = Trial("s", time, time * 2.0, time * 10.0, Protocol(speed_mm_s=2.0, depth_mm=3.98))
-    assert relaxation_rows(trial, true_segmentation(trial)) == ()
+    assert relaxation.relaxation_rows(trial, true_segmentation(trial)) == ()
     trial = PLAIN
     segmentation = Segmentation(1, 1, None, true_segmentation(trial).phases, 0.0)
-    assert relaxation_rows(trial, segmentation) == ()
+    assert relaxation.relaxation_rows(trial, segmentation) == ()
 
 
 def test_every_hold_has_its_row():
@@ -223,7 +216,7 @@ def test_every_hold_has_its_row():
         Phase("ramp", 200, 221, 10.0, 11.0, 2.0),
         Phase("hold", 220, 401, 11.0, 20.0, 0.0),
     )
-    rows = relaxation_rows(trial, Segmentation(1, 1, Contact(0, 0.0, 1e-4), phases, 0.0))
+    rows = relaxation.relaxation_rows(trial, Segmentation(1, 1, Contact(0, 0.0, 1e-4), phases, 0.0))
     assert len(rows) == 2
     assert rows[0].window_s == pytest.approx((1.0, 10.0), abs=0.051)
     assert rows[1].window_s == pytest.approx((11.0, 20.0), abs=0.051)
@@ -232,12 +225,12 @@ def test_every_hold_has_its_row():
 
 def test_a_hold_of_a_few_samples_or_of_constant_force_has_no_row():
     trial = hold_trial(lambda t: decay(t, 20.0, [10.0], [2.0]), hold_s=0.25)
-    assert relaxation_rows(trial, true_segmentation(trial)) == ()
+    assert relaxation.relaxation_rows(trial, true_segmentation(trial)) == ()
 
 
 def bounds(step_s, length_s):
     """Range of ln tau that recordings of a step and a length are fitted in."""
-    return np.log(step_s / TAU_BELOW_STEP), np.log(length_s * TAU_ABOVE_LENGTH)
+    return np.log(step_s / relaxation.TAU_BELOW_STEP), np.log(length_s * relaxation.TAU_ABOVE_LENGTH)
 
 
 def decays(basis, time_s, tau_s):
@@ -249,7 +242,7 @@ def decays(basis, time_s, tau_s):
     ("step_s", "length_s"), [(1e-3, 5.0), (1e-3, 48.0), (0.01, 50.0), (0.1, 500.0), (0.5, 4.0)]
 )
 def test_exponentials_of_any_relaxation_time_follow_from_the_nodes(step_s, length_s):
-    basis = kernel_basis(step_s=step_s, length_s=length_s)
+    basis = relaxation.kernel_basis(step_s=step_s, length_s=length_s)
     log_tau = np.linspace(*bounds(step_s, length_s), 61)
     time = np.concatenate([np.arange(0.0, length_s, max(step_s, length_s / 5000)), [length_s]])
     value, slope = (decays(basis, time, basis.tau_s) @ weights for weights in basis.weights(log_tau))
@@ -261,9 +254,9 @@ def test_exponentials_of_any_relaxation_time_follow_from_the_nodes(step_s, lengt
 
 
 def test_recordings_of_nearly_the_same_step_and_length_share_one_basis():
-    first = kernel_basis(step_s=0.0100, length_s=30.0)
-    assert kernel_basis(step_s=0.0101, length_s=30.2) is first
-    assert kernel_basis(step_s=0.02, length_s=30.0) is not first
+    first = relaxation.kernel_basis(step_s=0.0100, length_s=30.0)
+    assert relaxation.kernel_basis(step_s=0.0101, length_s=30.2) is first
+    assert relaxation.kernel_basis(step_s=0.02, length_s=30.0) is not first
 
 
 def test_rounding_of_step_and_length_is_outwards():
@@ -271,7 +264,7 @@ def test_rounding_of_step_and_length_is_outwards():
     for _ in range(20):
         step = float(np.exp(rng.uniform(-8.0, 0.0)))
         length = step * float(np.exp(rng.uniform(1.0, 8.0)))
-        found, wanted = kernel_basis(step_s=step, length_s=length).log_bounds, bounds(step, length)
+        found, wanted = relaxation.kernel_basis(step_s=step, length_s=length).log_bounds, bounds(step, length)
         assert found[0] <= wanted[0] + 1e-12
         assert found[1] >= wanted[1] - 1e-12
 
@@ -282,4 +275,4 @@ def test_rounding_of_step_and_length_is_outwards():
 )
 def test_step_and_length_out_of_order_are_refused_with_both_numbers(step, length):
     with pytest.raises(ValueError, match=r"0 < step < length.*step .* s and length"):
-        kernel_basis(step_s=step, length_s=length)
+        relaxation.kernel_basis(step_s=step, length_s=length)

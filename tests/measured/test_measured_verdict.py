@@ -33,7 +33,6 @@ def judged(trial: Trial, earlier: tuple[MeasuredPush, ...] = ()) -> Verdict:
 def shown(**made: Any) -> MeasuredPush:
     trial = pushed(**made)
     push = measure(trial, segment(trial)).push
-    assert push is not None
     assert typed(plain(push), MeasuredPush) == push
     return push
 

@@ -7,17 +7,10 @@ import pytest
 from passive_tissues import DEPTH_MM, SEED_MODEL, SEED_THETA, tissue
 from tissue_stepper import TissueStepper
 
+from tissueid.model import passivity
 from tissueid.model.channels import loading_force
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.model.passivity import (
-    CLAMP_SHARE,
-    DEFAULT_DELAY_TICKS,
-    Scaling,
-    damping_bound,
-    largest_tangent,
-    required_damping,
-    scaling_for,
-)
+from tissueid.model.passivity import Scaling, damping_bound, largest_tangent, required_damping, scaling_for
 
 PERIOD_S = 1e-3
 FASTEST_MM_S = 250.0 / 60.0
@@ -36,7 +29,7 @@ def seed_scaling(clamp_N: float, motion: float = 5.0) -> Scaling:
     [
         # the table lets the deepest force take all of 8.9 N, the product nine tenths of the clamp
         *(
-            (8.9 / CLAMP_SHARE, m, 24.9, k)
+            (8.9 / passivity.CLAMP_SHARE, m, 24.9, k)
             for m, k in ((1.0, 4464.0), (3.0, 1488.0), (5.0, 893.0), (8.0, 558.0))
         ),
         (5.0, 5.0, 49.2, 452.0),
@@ -49,7 +42,7 @@ def test_scale_for_each_clamp_and_motion_is_that_of_the_design(clamp, motion, re
     scaling = seed_scaling(clamp, motion)
     assert 1.0 / scaling.force == pytest.approx(reduction, rel=TABLE_1_RESIDUAL)
     assert scaling.device_stiffness_N_per_m == pytest.approx(stiffness, rel=TABLE_1_RESIDUAL)
-    assert scaling.peak_force_N == pytest.approx(CLAMP_SHARE * clamp, rel=1e-12)
+    assert scaling.peak_force_N == pytest.approx(passivity.CLAMP_SHARE * clamp, rel=1e-12)
 
 
 def test_force_scale_uses_the_force_at_full_depth_at_the_fastest_speed() -> None:
@@ -129,7 +122,7 @@ def test_damping_needed_grows_with_the_delay() -> None:
     seed = (SEED_MODEL, SEED_THETA, seed_scaling(5.0))
     needs = [required_damping(*seed, period_s=PERIOD_S, delay_ticks=delay) for delay in DELAYS]
     assert np.all(np.diff(needs) > 0.0)
-    default = np.interp(DEFAULT_DELAY_TICKS, DELAYS, needs)
+    default = np.interp(passivity.DEFAULT_DELAY_TICKS, DELAYS, needs)
     assert required_damping(*seed, period_s=PERIOD_S) == pytest.approx(default, rel=1e-12)
 
 

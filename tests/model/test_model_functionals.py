@@ -9,16 +9,10 @@ import pytest
 from passive_tissues import of_law
 from scipy.integrate import cumulative_trapezoid
 
+from tissueid.model import functionals
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel, loading_force
-from tissueid.model.functionals import (
-    complex_stiffness,
-    delta_method,
-    dissipated_per_cycle,
-    equilibrium_stiffness,
-    force_after_ramp,
-    instantaneous_stiffness,
-)
+from tissueid.model.functionals import complex_stiffness, force_after_ramp
 from tissueid.model.grammar import parsed
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.kernels import STATE_SIZE, tissue_step_in
@@ -74,14 +68,14 @@ def test_energy_of_a_large_cycle_is_the_area_of_its_loop():
     _, x, force = last_cycle(0.7, 1.5, 4000)
     # trapezoids over 4000 samples: 1e-6; what is left of the start after 12 periods: 1e-6
     area = np.trapezoid(force, x)
-    assert dissipated_per_cycle(MODEL, THETA, 2.0, 1.5, 0.7) == pytest.approx(area, rel=1e-4)
+    assert functionals.dissipated_per_cycle(MODEL, THETA, 2.0, 1.5, 0.7) == pytest.approx(area, rel=1e-4)
 
 
 def test_stiffness_is_the_slope_of_slow_and_of_sudden_motion():
-    secant, tangent = equilibrium_stiffness(MODEL, THETA, 3.0)
+    secant, tangent = functionals.equilibrium_stiffness(MODEL, THETA, 3.0)
     assert secant == pytest.approx(5.0 + 0.4 * 3.0 + 0.1 * 9.0)
     assert tangent == pytest.approx(5.0 + 0.8 * 3.0 + 0.3 * 9.0)
-    sudden_secant, sudden_tangent = instantaneous_stiffness(MODEL, THETA, 3.0)
+    sudden_secant, sudden_tangent = functionals.instantaneous_stiffness(MODEL, THETA, 3.0)
     assert sudden_secant == pytest.approx(force_after_ramp(MODEL, THETA, 3.0, None, 0.0) / 3.0)
     # the limit of high frequency
     assert sudden_tangent == pytest.approx(complex_stiffness(MODEL, THETA, 3.0, 1e5)[0], rel=1e-8)
@@ -98,7 +92,7 @@ def test_error_of_a_function_is_the_spread_over_draws():
             MODEL, theta, 3.0, None, 0.0
         )
 
-    value, stderr = delta_method(relaxed, THETA, covariance, unknown)
+    value, stderr = functionals.delta_method(relaxed, THETA, covariance, unknown)
     draws = [relaxed(theta) for theta in rng.multivariate_normal(THETA, covariance, size=4000)]
     assert value == relaxed(THETA)
     # 4000 draws know their spread to 1.1 %; the second order of a 1 % change is as large
@@ -108,15 +102,15 @@ def test_error_of_a_function_is_the_spread_over_draws():
 def test_a_number_that_hangs_on_an_unknown_parameter_or_has_no_slope_has_no_finite_error():
     unknown, covariance = np.arange(THETA.size) == THETA.size - 1, np.diag((0.01 * THETA) ** 2)
     for function, finite in (
-        (lambda theta: equilibrium_stiffness(MODEL, theta, 2.0)[0], True),
+        (lambda theta: functionals.equilibrium_stiffness(MODEL, theta, 2.0)[0], True),
         (lambda theta: complex_stiffness(MODEL, theta, 2.0, 0.3)[1], False),
     ):
-        assert np.isfinite(delta_method(function, THETA, covariance, unknown)[1]) == finite
+        assert np.isfinite(functionals.delta_method(function, THETA, covariance, unknown)[1]) == finite
 
     def beside_a_pole(theta):
         return float(theta[0]) if theta[0] <= 1.0 else float("inf")
 
-    assert delta_method(beside_a_pole, np.ones(1), np.eye(1), np.zeros(1, bool)) == (1.0, np.inf)
+    assert functionals.delta_method(beside_a_pole, np.ones(1), np.eye(1), np.zeros(1, bool)) == (1.0, np.inf)
 
 
 def test_a_shape_that_nothing_determines_leaves_no_error_of_a_number() -> None:
@@ -126,7 +120,7 @@ def test_a_shape_that_nothing_determines_leaves_no_error_of_a_number() -> None:
     def deepest(one: np.ndarray) -> float:
         return float(law.static_force(one, np.array([4.0]))[0])
 
-    value, stderr = delta_method(deepest, theta, covariance, np.zeros(4, bool))
+    value, stderr = functionals.delta_method(deepest, theta, covariance, np.zeros(4, bool))
 
     assert value == pytest.approx(1e-3 * 4.0**4)
     assert np.isinf(stderr)

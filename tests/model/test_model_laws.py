@@ -26,15 +26,6 @@ from tissueid.documents.identification import Model
 from tissueid.model import grammar
 from tissueid.model.base import ContactPath, ParameterSpec, scaled_theta
 from tissueid.model.channels import nodes_for
-from tissueid.model.grammar import (
-    KELVIN_VOIGT,
-    ModelNameError,
-    candidates,
-    described,
-    known_laws,
-    parsed,
-    rebuilt,
-)
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.kernels import LAW_SIZE, pack_law
 from tissueid.model.law import About
@@ -82,7 +73,7 @@ def shapes_of(law):
 
 @pytest.mark.parametrize("key", RELAXATIONS)
 def test_a_relaxation_is_its_closed_form(key):
-    law = known_laws()[key]()
+    law = grammar.known_laws()[key]()
     times = [0.0, *np.logspace(-2.0, 2.0, 9)]
     for tau in (0.05, 1.0, 20.0):
         for shape in shapes_of(law):
@@ -92,7 +83,7 @@ def test_a_relaxation_is_its_closed_form(key):
 
 @pytest.mark.parametrize("key", RELAXATIONS)
 def test_nodes_hold_a_relaxation_from_the_resolution_to_ten_windows(key):
-    law, nodes = known_laws()[key](), nodes_for(RESOLUTION, WINDOW)
+    law, nodes = grammar.known_laws()[key](), nodes_for(RESOLUTION, WINDOW)
     times = np.append(0.0, np.geomspace(RESOLUTION, 10.0 * WINDOW, 300))
     for tau in TIMES:
         for shape in shapes_of(law):
@@ -103,7 +94,7 @@ def test_nodes_hold_a_relaxation_from_the_resolution_to_ten_windows(key):
 
 @pytest.mark.parametrize("key", STATIC)
 def test_a_static_law_has_its_slope_and_no_force_at_the_surface(key):
-    law = known_laws()[key]()
+    law = grammar.known_laws()[key]()
     x = np.linspace(0.2, 9.0, 40)
     for shape in itertools.product(*[(*one.starts,) for one in law.shapes]):
         step = 1e-6
@@ -116,9 +107,9 @@ def test_a_static_law_has_its_slope_and_no_force_at_the_surface(key):
 def test_every_law_is_described_and_has_its_source(monkeypatch):
     # not those that another test has registered in this process
     monkeypatch.setattr("tissueid.model.grammar._OWN", {})
-    rows = described()
+    rows = grammar.described()
     assert {row["kind"] for row in rows} == {"static", "stiffness", "relaxation", "damping", "whole"}
-    assert KELVIN_VOIGT in {row["key"] for row in rows}
+    assert grammar.KELVIN_VOIGT in {row["key"] for row in rows}
     for row in rows:
         assert row["source"].startswith("10."), row["key"]
         assert all(row[key] for key in ("equation", "purpose", "refuses")), row["key"]
@@ -133,7 +124,7 @@ def test_every_law_is_described_and_has_its_source(monkeypatch):
     ],
 )
 def test_names_of_the_papers_law_are_that_law(name, order):
-    found = parsed(name)
+    found = grammar.parsed(name)
     assert (found.branches, found.degree, found.parts) == (*order, None)
 
 
@@ -157,12 +148,12 @@ def test_names_of_the_papers_law_are_that_law(name, order):
     ],
 )
 def test_a_name_that_is_none_says_what_there_is(name, says):
-    with pytest.raises(ModelNameError, match=says):
-        parsed(name)
+    with pytest.raises(grammar.ModelNameError, match=says):
+        grammar.parsed(name)
 
 
 def model(name: str):
-    return parsed(name).model(8.0, RESOLUTION, WINDOW)
+    return grammar.parsed(name).model(8.0, RESOLUTION, WINDOW)
 
 
 def test_inside_the_convolution_the_relaxed_force_is_that_of_the_integral():
@@ -196,11 +187,11 @@ def test_a_tissue_is_put_right_for_gains_of_force_and_travel(name):
 
 def test_a_model_is_rebuilt_from_what_a_file_holds():
     choice = ModelChoice("power*fung", 1, 1, 0, "scaled", "power*fung", (RESOLUTION, WINDOW))
-    again = rebuilt(ModelChoice.of(typed(choice.as_json(), Model)), 8.0)
+    again = grammar.rebuilt(ModelChoice.of(typed(choice.as_json(), Model)), 8.0)
     assert again == model("power*fung")
-    assert rebuilt(ModelChoice("kelvin-voigt", 2, 3, 1, "scaled"), 8.0) == kelvin_voigt(2, 1, 8.0)
+    assert grammar.rebuilt(ModelChoice("kelvin-voigt", 2, 3, 1, "scaled"), 8.0) == kelvin_voigt(2, 1, 8.0)
     with pytest.raises(ValueError, match="are missing"):
-        rebuilt(ModelChoice("power*fung", 1, 1, 0, "scaled", "power*fung"), 8.0)
+        grammar.rebuilt(ModelChoice("power*fung", 1, 1, 0, "scaled", "power*fung"), 8.0)
 
 
 @pytest.mark.parametrize("theta", [[-1.0, 1.5, 30.0, 0.4], [10.0, 1.5, -30.0, 0.4], [10.0, 1.5, 30.0, -0.4]])
@@ -250,7 +241,7 @@ def test_a_law_of_another_package_is_one_of_ours(installed):
     installed(Toe)
     law, theta = model("toe * tangent * fung"), np.array([0.5, 1.2, 0.4, 100.0])
     assert law.parameter_names[0] == "static_toe_N_per_mm3"
-    assert "toe" in {row["key"] for row in described()}
+    assert "toe" in {row["key"] for row in grammar.described()}
     time = np.linspace(0.0, 2.0, 400)
     path = ContactPath(time, np.minimum(4.0 * time, 6.0))
     expected = law.force(theta, path)
@@ -258,21 +249,23 @@ def test_a_law_of_another_package_is_one_of_ours(installed):
 
 
 def test_a_key_is_registered_once_and_an_unknown_one_lists_what_there_is(installed):
-    with pytest.raises(ModelNameError, match="'maxwell' is no model: STATIC"):
-        rebuilt(ModelChoice("maxwell", 1, 3, 0, "shared", "maxwell", (RESOLUTION, WINDOW)), 8.0)
-    installed(known_laws()["prony"])
+    with pytest.raises(grammar.ModelNameError, match="'maxwell' is no model: STATIC"):
+        grammar.rebuilt(ModelChoice("maxwell", 1, 3, 0, "shared", "maxwell", (RESOLUTION, WINDOW)), 8.0)
+    installed(grammar.known_laws()["prony"])
     assert "'prony' is registered already" in grammar.faulty_laws()[0]
 
 
 def test_an_entry_point_that_is_no_law_hides_no_other_and_is_named_where_it_is_asked_for(installed):
     installed(len, Toe)
-    assert parsed("toe * fung").parts is not None
+    assert grammar.parsed("toe * fung").parts is not None
     (remark,) = grammar.faulty_laws()
     assert "'other-package' (a:b) can't be used: TypeError" in remark
-    with pytest.raises(ModelNameError, match=r"no relaxation law 'other-package'.*\(a:b\) can't be used"):
-        parsed("power * other-package")
-    with pytest.raises(ModelNameError, match=r"no relaxation law 'creep'.*Install the package"):
-        rebuilt(ModelChoice("creep", 1, 3, 0, "shared", "power * creep", (RESOLUTION, WINDOW)), 8.0)
+    with pytest.raises(
+        grammar.ModelNameError, match=r"no relaxation law 'other-package'.*\(a:b\) can't be used"
+    ):
+        grammar.parsed("power * other-package")
+    with pytest.raises(grammar.ModelNameError, match=r"no relaxation law 'creep'.*Install the package"):
+        grammar.rebuilt(ModelChoice("creep", 1, 3, 0, "shared", "power * creep", (RESOLUTION, WINDOW)), 8.0)
 
 
 NAMES = [
@@ -407,7 +400,7 @@ def test_stiffness_is_the_slope_of_a_small_sudden_move():
 def test_it_is_built_again_from_its_nodes_and_refuses_negative_weights():
     choice = ModelChoice("yardstick", 4, 3, 2, "shared", "yardstick", (0.02, 1.2), INSIDE_S, OUTSIDE_S)
     model, theta = drawn()
-    again = rebuilt(ModelChoice.of(typed(choice.as_json(), Model)), DEPTH_MM)
+    again = grammar.rebuilt(ModelChoice.of(typed(choice.as_json(), Model)), DEPTH_MM)
     assert again.parameter_names == model.parameter_names
     assert len(model.parameters) == INSIDE * (1 + len(INSIDE_S)) + OUTSIDE * len(OUTSIDE_S)
     assert again.is_passive(theta)
@@ -415,18 +408,18 @@ def test_it_is_built_again_from_its_nodes_and_refuses_negative_weights():
 
 
 def test_names_of_choices():
-    assert parsed("yardstick").mark
-    auto = candidates("auto")
+    assert grammar.parsed("yardstick").mark
+    auto = grammar.candidates("auto")
     assert auto.choose
     assert auto.paper is not None
     assert [one.mark for one in auto.laws] == [False, False, True]
-    assert not candidates("kelvin-voigt").choose
-    several = candidates("power * fung | polynomial * prony:2|flat*stretched")
+    assert not grammar.candidates("kelvin-voigt").choose
+    several = grammar.candidates("power * fung | polynomial * prony:2|flat*stretched")
     assert several.choose
     assert several.paper.branches == 2
     assert [one.name for one in several.laws] == ["power * fung", "flat*stretched"]
-    with pytest.raises(ModelNameError, match="are one law"):
-        candidates("kelvin-voigt | polynomial * prony:1")
-    with pytest.raises(ModelNameError, match="'auto' is no model"):
-        candidates("auto | power * fung")
-    assert len(described()) == len({row["key"] for row in described()})
+    with pytest.raises(grammar.ModelNameError, match="are one law"):
+        grammar.candidates("kelvin-voigt | polynomial * prony:1")
+    with pytest.raises(grammar.ModelNameError, match="'auto' is no model"):
+        grammar.candidates("auto | power * fung")
+    assert len(grammar.described()) == len({row["key"] for row in grammar.described()})

@@ -8,17 +8,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from tissueid.model.moduli import (
-    FORMULAS,
-    MOST_A_OVER_H,
-    Indenter,
-    compliance,
-    contact_of,
-    flat_factor,
-    formulas_for,
-    layer_contact,
-    poroelastic_band,
-)
+from tissueid.model import moduli
+from tissueid.model.moduli import Indenter, contact_of
 
 SPHERE, FLAT, CONE = Indenter("sphere", 3.0), Indenter("flat", 2.0), Indenter("cone", half_angle_deg=70.0)
 MODULUS_MPA = 0.02
@@ -28,7 +19,7 @@ MODULUS_MPA = 0.02
 @pytest.mark.parametrize("thickness", [None, 8.0])
 @pytest.mark.parametrize("poisson", [0.3, 0.5])
 def test_modulus_gives_back_the_force_it_came_from(tip, thickness, poisson):
-    for formula in formulas_for(tip, thickness):
+    for formula in moduli.formulas_for(tip, thickness):
         contact = contact_of(formula, tip, 0.4, poisson=poisson, thickness_mm=thickness)
         force = MODULUS_MPA / (1.0 - poisson**2) * contact.factor_mm2
         assert contact.modulus_MPa(force) == pytest.approx(MODULUS_MPA, rel=1e-14)
@@ -117,8 +108,8 @@ def test_a_layer_too_thin_to_solve_has_no_contact():
         (lambda: contact_of("hertz", SPHERE, 0.1, poisson=0.6), "Poisson"),
         (lambda: contact_of("hayes", SPHERE, 0.1), "thickness"),
         (lambda: contact_of("dimitriadis", FLAT, 0.1, thickness_mm=1.0), "a sphere"),
-        (lambda: flat_factor(7.0, 0.5), "outside"),
-        (lambda: layer_contact(Indenter("sphere", 10.0), 5.0, 0.1, 0.3, bonded=True), "outside"),
+        (lambda: moduli.flat_factor(7.0, 0.5), "outside"),
+        (lambda: moduli.layer_contact(Indenter("sphere", 10.0), 5.0, 0.1, 0.3, bonded=True), "outside"),
     ],
 )
 def test_impossible_tips_and_wrong_uses_are_refused(use, said):
@@ -127,10 +118,10 @@ def test_impossible_tips_and_wrong_uses_are_refused(use, said):
 
 
 def test_every_formula_has_a_source_and_drainage_grows_with_the_square_of_the_contact():
-    assert all(doi.startswith("10.") for doi in FORMULAS.values())
-    low, high = poroelastic_band(1.0)
+    assert all(doi.startswith("10.") for doi in moduli.FORMULAS.values())
+    low, high = moduli.poroelastic_band(1.0)
     assert (low, high) == pytest.approx((100.0, 1e5))
-    assert poroelastic_band(2.0) == pytest.approx((4.0 * low, 4.0 * high))
+    assert moduli.poroelastic_band(2.0) == pytest.approx((4.0 * low, 4.0 * high))
 
 
 #: Table 1 of Hayes et al. 1972 (flat punch, bonded layer, nu = 0.5), as printed: three decimals.
@@ -165,37 +156,37 @@ def surface_compliance(x: float, poisson: float, *, bonded: bool) -> float:
 @pytest.mark.parametrize("poisson", [0.1, 0.3, 0.45])
 def test_compliance_of_a_mode_is_that_of_navier_s_equations(poisson, bonded):
     for x in (0.05, 0.4, 1.0, 2.5, 6.0):
-        found = 1.0 + float(compliance(np.array([x]), poisson, bonded=bonded)[0])
+        found = 1.0 + float(moduli.compliance(np.array([x]), poisson, bonded=bonded)[0])
         # the matrix exponential loses exp(2x) of 16 digits
         assert found == pytest.approx(surface_compliance(x, poisson, bonded=bonded), rel=1e-9)
 
 
 @pytest.mark.parametrize("bonded", [True, False])
 def test_a_mode_far_shorter_than_the_thickness_does_not_see_the_base(bonded):
-    assert abs(float(compliance(np.array([20.0]), 0.5, bonded=bonded)[0])) < 1e-13
+    assert abs(float(moduli.compliance(np.array([20.0]), 0.5, bonded=bonded)[0])) < 1e-13
 
 
 @pytest.mark.parametrize(("a_over_h", "printed"), HAYES_FLAT_HALF.items())
 def test_factors_are_those_hayes_printed(a_over_h, printed):
     # the tables were computed with few terms: their last digits drift by 0.2 % towards a/h = 1
-    assert flat_factor(a_over_h, 0.5) == pytest.approx(printed, rel=2.5e-3)
+    assert moduli.flat_factor(a_over_h, 0.5) == pytest.approx(printed, rel=2.5e-3)
 
 
 def test_a_thick_layer_is_a_half_space():
-    assert flat_factor(0.0, 0.3) == pytest.approx(1.0, rel=1e-14)
+    assert moduli.flat_factor(0.0, 0.3) == pytest.approx(1.0, rel=1e-14)
     # the kernel's first order is 2 a/h int (M - 1) dx / pi, 1e-6 here
-    a, factor = layer_contact(Indenter("sphere", 2.0), 0.1, 1e5, 0.4, bonded=True)
+    a, factor = moduli.layer_contact(Indenter("sphere", 2.0), 0.1, 1e5, 0.4, bonded=True)
     assert (a, factor) == pytest.approx((math.sqrt(0.2), 4.0 / 3.0 * math.sqrt(2.0) * 0.1**1.5), rel=2e-5)
-    a, factor = layer_contact(Indenter("cone", half_angle_deg=70.0), 0.1, 1e5, 0.4, bonded=True)
+    a, factor = moduli.layer_contact(Indenter("cone", half_angle_deg=70.0), 0.1, 1e5, 0.4, bonded=True)
     wide = 2.0 / math.pi * math.tan(math.radians(70.0))
     assert (a, factor) == pytest.approx((0.1 * wide, 0.01 * wide), rel=2e-5)
 
 
 def test_a_thin_compressible_layer_is_squeezed_column_by_column():
     # modulus of a column that can't spread, times area over thickness: reached as h/a
-    poisson, a = 0.2, MOST_A_OVER_H
+    poisson, a = 0.2, moduli.MOST_A_OVER_H
     column = (1.0 - poisson) / ((1.0 + poisson) * (1.0 - 2.0 * poisson)) * (1.0 - poisson**2)
     force = column * math.pi * a**2
-    assert 2.0 * a * flat_factor(a, poisson) == pytest.approx(force, rel=0.25)
-    nearer = 2.0 * 3.0 * flat_factor(3.0, poisson) / (column * math.pi * 9.0)
-    assert abs(2.0 * a * flat_factor(a, poisson) / force - 1.0) < abs(nearer - 1.0)
+    assert 2.0 * a * moduli.flat_factor(a, poisson) == pytest.approx(force, rel=0.25)
+    nearer = 2.0 * 3.0 * moduli.flat_factor(3.0, poisson) / (column * math.pi * 9.0)
+    assert abs(2.0 * a * moduli.flat_factor(a, poisson) / force - 1.0) < abs(nearer - 1.0)

@@ -17,18 +17,11 @@ from tissueid.haptics.sim import SimulatedDevice
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.passivity import required_damping
 from tissueid.rendering import guidance as gd
+from tissueid.rendering import guidance_block as guiding
 from tissueid.rendering import options, tissue_block
 from tissueid.rendering import surface as srf
 from tissueid.rendering.environment import GUIDANCE, GUIDED, KIND
-from tissueid.rendering.guidance_block import (
-    Bone,
-    Funnel,
-    Guidance,
-    Pull,
-    check_guidance,
-    needed_damping,
-    weaker,
-)
+from tissueid.rendering.guidance_block import Funnel, Guidance, Pull, check_guidance
 from tissueid.rendering.options import ASSUMED_DEVICE, PRESETS, RenderOptions, preset_tissue
 from tissueid.rendering.plan import plan_session
 from tissueid.rendering.precheck import Demands, check_before_force, scaling_at
@@ -152,7 +145,6 @@ def test_the_scenes_that_come_along_are_rendered_as_they_are_planned() -> None:
         assert plan.check is not None
         assert any("assumed" in line for line in plan.lines)
     hip = load_scene("hip-resurfacing")
-    assert hip.guidance is not None
     # what the file says is what is assumed where nothing is said
     assert replace(hip.guidance, entry_m=(0.0, 0.0, 0.0)) == Guidance((0.0, 0.0, 0.0))
     guided, check = check_guidance(hip.guidance, ASSUMED_DEVICE)
@@ -231,9 +223,9 @@ def test_guidance_takes_the_place_of_a_tissue() -> None:
 def test_a_stiff_plan_is_weakened_as_a_whole_until_the_device_bears_it() -> None:
     stiff = Guidance((0.0, 0.0, 0.13), pull=Pull(50.0, 400.0), funnel=Funnel(stiffness_N_per_m_n=2000.0))
     lowered, check = check_guidance(stiff, ASSUMED_DEVICE)
-    assert check.planned_damping_N_s_per_m == needed_damping(stiff, ASSUMED_DEVICE) > 0.5
+    assert check.planned_damping_N_s_per_m == guiding.needed_damping(stiff, ASSUMED_DEVICE) > 0.5
     assert 0.0 < check.strength < 1.0
-    assert lowered == weaker(stiff, check.strength)
+    assert lowered == guiding.weaker(stiff, check.strength)
     assert lowered.pull.near_N_per_m / lowered.pull.far_N_per_m == pytest.approx(8.0)
     # as much as may be counted on, and no less than that
     assert check.required_damping_N_s_per_m == pytest.approx(0.95 * 0.5, rel=1e-3)
@@ -246,10 +238,10 @@ def test_the_need_is_that_of_the_pull_where_there_is_no_wall() -> None:
     from tissueid.model.passivity import damping_bound
 
     soft = Funnel(stiffness_N_per_m_n=1e-9)
-    plan = Guidance((0.0, 0.0, 0.0), pull=Pull(0.0, 100.0), funnel=soft, bone=Bone(radius_m=0.0))
+    plan = Guidance((0.0, 0.0, 0.0), pull=Pull(0.0, 100.0), funnel=soft, bone=guiding.Bone(radius_m=0.0))
     # K (1 + tau s / (1 + t_f s)): a branch of K tau / t_f that relaxes in t_f
     expected = damping_bound(100.0, np.array([100.0]), np.array([0.05]), period_s=1e-3, delay_ticks=1.5)
-    assert needed_damping(plan, ASSUMED_DEVICE) == pytest.approx(expected, rel=1e-6)
+    assert guiding.needed_damping(plan, ASSUMED_DEVICE) == pytest.approx(expected, rel=1e-6)
 
 
 def test_guidance_that_could_not_be_felt_is_refused() -> None:

@@ -479,7 +479,6 @@ def test_digits_without_noise_are_no_noise_and_part_of_the_contact_s_sd(step_N):
     held = np.maximum(time_s - 5.0, 0.0)
     force = (1.0 * depth + 0.1 * depth**2) * (0.7 + 0.3 * np.exp(-held / 2.0))
     contact = segment(Trial("steps", time_s, travel, np.round(force / step_N) * step_N)).contact
-    assert contact is not None
     assert contact.in_record
     assert abs(contact.displacement_mm) < 2.5 * contact.sd_mm
     assert contact.sd_mm < 0.3 * step_N + 0.02

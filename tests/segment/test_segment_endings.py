@@ -268,7 +268,6 @@ def test_a_cycle_has_its_turn_and_its_loading_speed() -> None:
     found = segment(loops([34.0] * 3))
     assert kinds(found) == ["cycle"] * 3
     for k, phase in enumerate(found.phases):
-        assert phase.peak is not None
         assert phase.start_s + (phase.peak - phase.start) * 0.01 == pytest.approx(1.5 + 3.0 * k, abs=0.03)
         assert phase.speed_mm_s == pytest.approx(SPEED, rel=0.02)
 
@@ -451,7 +450,6 @@ def test_a_swing_of_correlated_noise_in_air_hides_no_contact(seed: int) -> None:
         noise = 0.9 * noise + 0.25 * np.sqrt(1.0 - 0.9**2) * fresh
         noises.append(noise)
     found = segment(Trial("swings", trial.time_s, trial.displacement_mm, trial.force_N + noises))
-    assert found.contact is not None
     assert "no_contact" not in codes(found)
     assert "ramp" in kinds(found)
 

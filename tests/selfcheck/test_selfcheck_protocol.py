@@ -16,20 +16,8 @@ from tissueid.documents.identification import NoiseFit
 from tissueid.errors import InputError, UsageError
 from tissueid.manifest import Calibration, Entry, Study
 from tissueid.model.frame import linear_frame
-from tissueid.selfcheck.protocol import (
-    CONTACT_SD_MM,
-    Centre,
-    Protocol,
-    Recordings,
-    inputs_there,
-    of_bundle,
-    of_bundle_inputs,
-    of_fit,
-    of_program,
-    of_recipe,
-    of_recordings,
-    white_share,
-)
+from tissueid.selfcheck import protocol as protocols
+from tissueid.selfcheck.protocol import Centre, Protocol, of_bundle, of_fit, of_program, of_recipe
 from tissueid.selfcheck.tissue import described, tissue_check
 from tissueid.store.bundle import Bundle, bundle_from_fit
 from tissueid.synth import Branch, Hold, Log, Move, recipe
@@ -52,7 +40,7 @@ def test_a_recipe_becomes_its_program_and_its_tissue():
     np.testing.assert_allclose(centre.theta, [20.0, -1.2, 0.35, 63.62, 10.0, 0.021])
     assert (centre.sigma_N, centre.phi, centre.pooling) == (1.0, 0.0, "partial")
     first = protocol.logs[0]
-    assert first.contact_sd_mm == CONTACT_SD_MM
+    assert first.contact_sd_mm == protocols.CONTACT_SD_MM
     # a second in air at the speed of the first move, to a contact at 0 s and 0 mm
     air = first.time_s < 0.0
     assert air.sum() == 100
@@ -88,7 +76,7 @@ def test_a_bundle_s_program_stays_within_what_it_was_identified_on():
     np.testing.assert_array_equal(centre.theta, one.theta)
     # holds last ten relaxation times, within 5 and 60 s: tau is 1.5 s
     assert "holds of 15 s" in protocol.words
-    assert inputs_there(one) == []
+    assert protocols.inputs_there(one) == []
     with pytest.raises((KeyError, ValueError)):
         of_bundle(replace(one, model=replace(one.model, key="hunt-crossley")), where="x")
 
@@ -127,8 +115,8 @@ def of_these(
     model: str | None = None,
 ) -> tuple[str, Protocol, Centre]:
     known = {one.source.path: one for one in trials}
-    given = Recordings(iter(trials), lambda source: known[source.path], "lab", study)
-    return of_recordings(given, specimen=specimen, model=model, progress=lambda *_: None)
+    given = protocols.Recordings(iter(trials), lambda source: known[source.path], "lab", study)
+    return protocols.of_recordings(given, specimen=specimen, model=model, progress=lambda *_: None)
 
 
 @pytest.fixture(autouse=True)
@@ -186,7 +174,7 @@ def test_the_share_of_white_noise_follows_from_its_moving_average(share):
     b = phi * share
     theta = (a - np.sqrt(a**2 - 4.0 * b**2)) / (2.0 * b)
     noise = NoiseFit(model="white+ar1", sigma_N=1.0, phi=phi, reference_step_s=0.01, moving_average=theta)
-    assert white_share(noise) == pytest.approx(share, rel=1e-9)
+    assert protocols.white_share(noise) == pytest.approx(share, rel=1e-9)
 
 
 def test_of_several_specimens_one_is_named_and_none_is_told_with_its_reason(monkeypatch):
@@ -231,7 +219,7 @@ def test_a_bundle_s_own_recordings_are_its_protocol(monkeypatch):
     monkeypatch.setattr("tissueid.selfcheck.protocol.inputs_there", lambda one: one.provenance["inputs"])
 
     def protocol(trials: Sequence[Trial], of: Any = bundle) -> Protocol | None:
-        return of_bundle_inputs(trials, of, study=None, progress=lambda *_: None)
+        return protocols.of_bundle_inputs(trials, of, study=None, progress=lambda *_: None)
 
     found = protocol([trial("b.csv"), trial(path)])
     assert [log.name for log in found.logs] == [path]

@@ -15,17 +15,8 @@ from command_line import until
 from conjugate_check import NormalMean
 
 from tissueid.errors import NotIdentifiedError, UsageError
-from tissueid.selfcheck.records import (
-    DRAWS,
-    Checkpoint,
-    Record,
-    Replicate,
-    one_record,
-    rank_of,
-    record_of,
-    run_simulations,
-    thinned,
-)
+from tissueid.selfcheck import records as runs
+from tissueid.selfcheck.records import DRAWS, Checkpoint, Record, Replicate, one_record, rank_of
 from tissueid.selfcheck.verdicts import POINTS, ecdf_band, ecdf_counts, verdict_of
 
 
@@ -36,7 +27,9 @@ def records_of(check: NormalMean, simulations: int, *, seed: int = 11) -> tuple[
 def simulated(path: Path, simulations: int, **options: Any) -> tuple[Record, ...]:
     """Records of simulations that go on with what a file holds."""
     with Checkpoint(path, "d") as checkpoint:
-        return run_simulations(NormalMean(), checkpoint, simulations=simulations, **{"seed": 3, **options})
+        return runs.run_simulations(
+            NormalMean(), checkpoint, simulations=simulations, **{"seed": 3, **options}
+        )
 
 
 def test_a_right_posterior_is_calibrated():
@@ -85,10 +78,10 @@ def test_a_simulation_without_a_posterior_is_counted_and_told():
 
 def test_draws_that_are_no_numbers_count_as_a_failure_and_too_few_are_refused():
     replicate = Replicate(truth={"a": 0.0}, draws={"a": np.full(399, np.nan)})
-    record = record_of(0, replicate, np.random.default_rng(0), seconds=0.1)
+    record = runs.record_of(0, replicate, np.random.default_rng(0), seconds=0.1)
     assert record.failed == "draws of a that are no numbers"
     with pytest.raises(ValueError, match="10 draws, 399 are needed"):
-        thinned(np.zeros(10))
+        runs.thinned(np.zeros(10))
 
 
 def test_a_second_call_goes_on_with_the_same_simulations(tmp_path):
