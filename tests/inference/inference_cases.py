@@ -129,6 +129,14 @@ def draw(recipe: Recipe, seed: int) -> list[SyntheticLog]:
     return simulate(recipe, rng=np.random.default_rng(seed))
 
 
+def fitted(
+    handles: Sequence[LogHandle], *, branches: int | None = 1, degree: int | None = 0, **options
+) -> State:
+    """A specimen's fit, its machine known to be without fault."""
+    chosen = FitOptions(branches=branches, stiffness_degree=degree, **options)
+    return fit_with_state("knee", handles, options=chosen, machine=False)
+
+
 def by_name(fit) -> dict:
     """Parameters of a fit, or of a tissue, by name."""
     return {one.name: one for one in fit.parameters}

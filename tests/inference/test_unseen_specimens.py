@@ -39,6 +39,11 @@ def quasi_linear(time, x):
     return elastic(x) + 0.4 * relaxing(time, elastic(x), 1.5)
 
 
+def rows(fit):
+    """What is printed of a fit's parameters, by name."""
+    return {one["name"]: one for one in fit.result.as_json()["parameters"]}
+
+
 def relaxed(fit, name):
     """Values, errors and times of a number after an ideal step."""
     rows = [one for one in fit.result.quoted.model if one.name == name and one.at.path == "step"]
@@ -63,8 +68,7 @@ def test_two_logs_leave_what_they_have_in_common_open_evenly():
         recorded(lambda time, x, gain=gain: gain * kelvin_voigt(time, x), seed=seed)
         for seed, gain in enumerate((1.03, 0.97))
     ]
-    fit = ti.fit(logs, specimen="two sites").sample()
-    found = {one["name"]: one for one in fit.result.as_json()["parameters"]}
+    found = rows(ti.fit(logs, specimen="two sites").sample())
     for name, truth in (("static_1_N_per_mm", 0.3), ("stiffness_0_N_per_mm", 0.5)):
         low, high = found[name]["ci95_total"]
         up, down = np.log(high / found[name]["value"]), np.log(found[name]["value"] / low)
@@ -87,7 +91,7 @@ def sites(*ratios):
 
 def test_sites_that_relax_at_different_rates_are_not_explained_by_a_soft_machine():
     fit = ti.fit(sites(0.95, 1.0, 1.05), specimen="three sites").sample()
-    found = {one["name"]: one for one in fit.result.as_json()["parameters"]}
+    found = rows(fit)
     truths = {"static_1_N_per_mm": 2.0, "stiffness_0_N_per_mm": 3.0, "relaxation_time_s": 0.5}
     for name, truth in (truths | {"viscosity_N_s_per_mm": 1.5}).items():
         low, high = found[name]["ci95_total"]
@@ -109,14 +113,13 @@ def test_the_band_of_another_site_knows_that_sites_relax_at_different_rates():
 
 def test_what_is_stated_of_a_coefficient_is_not_drawn_down_by_the_common_size():
     logs = [recorded(lambda t, x, g=g: g * kelvin_voigt(t, x), seed=k) for k, g in enumerate((1.2, 0.8))]
-    names = ("static_1_N_per_mm", "static_2_N_per_mm2", "static_3_N_per_mm3", "stiffness_0_N_per_mm")
-    stated = {name: (value, 0.1 * value) for name, value in zip(names, (0.3, 0.05, 0.02, 0.5), strict=True)}
+    means = {"static_1_N_per_mm": 0.3, "static_2_N_per_mm2": 0.05, "static_3_N_per_mm3": 0.02}
+    means |= {"stiffness_0_N_per_mm": 0.5}
+    stated = {name: (value, 0.1 * value) for name, value in means.items()}
     options = ti.FitOptions(branches=1, stiffness_degree=0)
     fit = ti.fit(logs, specimen="two sites", priors=ti.Priors(linear=stated), options=options).sample()
-    for one in fit.result.as_json()["parameters"]:
-        if one["name"] in names:
-            mean, sd = stated[one["name"]]
-            assert abs(one["value"] - mean) < 0.25 * sd
+    for name, (mean, sd) in stated.items():
+        assert abs(rows(fit)[name]["value"] - mean) < 0.25 * sd
 
 
 def test_forces_at_the_limit_of_a_cell_are_not_fitted(tmp_path):
@@ -153,7 +156,7 @@ def test_a_value_that_no_log_alone_has_is_withheld(value, total, alone, held):
 
 def test_the_intervals_behind_a_machine_of_which_nothing_is_known_hold_a_rigid_one():
     trial = recorded(lambda t, x: 2.0 * x + 3.0 * relaxing(t, x, 0.5), seed=0, rate_Hz=100.0)
-    found = {one["name"]: one for one in ti.fit([trial]).sample().result.as_json()["parameters"]}
+    found = rows(ti.fit([trial]).sample())
     for name, truth in (("relaxation_time_s", 0.5), ("viscosity_N_s_per_mm", 1.5)):
         low, high = found[name]["ci95_total"]
         assert low < truth < high < 1.1 * truth
@@ -173,12 +176,8 @@ def test_travel_that_is_read_with_noise_bends_no_law():
     trial = recorded(lambda t, x: kelvin_voigt(t, x), seed=5, rate_Hz=100.0)
     noise = 0.03 * np.random.default_rng(7).standard_normal(trial.time_s.size)
     read = replace(trial, displacement_mm=trial.displacement_mm + noise)
-    found = {one["name"]: one for one in ti.fit([read]).sample().result.as_json()["parameters"]}
+    found = rows(ti.fit([read]).sample())
     # K was 0 at half the depth, and a1 twice what it is
-    for name, truth in (
-        ("static_1_N_per_mm", 0.3),
-        ("stiffness_0_N_per_mm", 0.5),
-        ("relaxation_time_s", 3.0),
-    ):
+    for name, truth in (("static_1_N_per_mm", 0.3), ("stiffness_0_N_per_mm", 0.5), ("relaxation_time_s", 3.0)):
         low, high = found[name]["ci95_total"]
         assert low - 0.1 * truth < truth < high + 0.1 * truth

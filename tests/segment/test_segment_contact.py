@@ -12,23 +12,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
-from told import codes, flag_of, kinds
+from told import codes, divided, flag_of, kinds, normal, simulated
 
 from tissueid.segment import SegmentOptions, segment
 from tissueid.segment.hinge import fit_contact
 from tissueid.signal_noise import quantum, white_noise_sd
-from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials, simulate
+from tissueid.synth import Branch, Hold, Move
 from tissueid.trial import Trial, contact_frame
 
 
 @pytest.mark.parametrize("preload_mm", [0.3, 0.8])
 def test_preloaded_start_is_extrapolated_back(preload_mm):
-    scores = []
-    rng = np.random.default_rng(4)
+    scores, rng = [], np.random.default_rng(4)
+    settings = {"rate_Hz": 1000.0, "sigma_N": 0.3, "contact_offset_mm": -preload_mm}
     for _ in range(12):
-        log = Log("hold", (Move(6.0, 250.0), Hold(2.0)))
-        settings = Recipe("p", (log,), rate_Hz=1000.0, sigma_N=0.3, contact_offset_mm=-preload_mm)
-        found = segment(as_trials(simulate(settings, rng=rng))[0])
+        found = segment(simulated(Move(6.0, 250.0), Hold(2.0), seed=rng, **settings))
         assert "preload" in codes(found)
         scores.append((found.contact.displacement_mm + preload_mm) / found.contact.sd_mm)
     # extrapolation of a curve by 5-13 % of its length: within three of its own sd
@@ -37,9 +35,8 @@ def test_preloaded_start_is_extrapolated_back(preload_mm):
 
 def ramp_in_air(sigma_N: float = 0.3, *, seed: int = 12, **changes) -> Trial:
     """8 mm at 250 mm/min, contact at 1 mm, 100 samples/s."""
-    ramp = (Log("ramp", (Move(8.0, 250.0),)),)
     settings = {"rate_Hz": 100.0, "sigma_N": sigma_N, "contact_offset_mm": 1.0, **changes}
-    return as_trials(simulate(Recipe("r", ramp, **settings), rng=np.random.default_rng(seed)))[0]
+    return simulated(Move(8.0, 250.0), seed=seed, **settings)
 
 
 def test_contact_frame_is_zero_at_contact():
@@ -57,6 +54,13 @@ def test_contact_frame_is_zero_at_contact():
     assert force[-1] > 100.0
 
 
+def fitted(depth_mm, force_N, noise_N):
+    """The contact in a record that begins in air."""
+    return fit_contact(
+        depth_mm, force_N, noise_N=noise_N, noise_samples=depth_mm.size, baseline=True, reach_back_mm=0.0
+    )
+
+
 @pytest.mark.parametrize("factor", [1.0, 0.999, 1.7])
 @pytest.mark.parametrize("seed", range(6))
 def test_contact_of_a_specimen_that_slips_and_stiffens(seed, factor):
@@ -64,28 +68,18 @@ def test_contact_of_a_specimen_that_slips_and_stiffens(seed, factor):
     beyond = np.maximum(depth_mm - 0.142, 0.0)
     # force falls by 1.5 N every 0.055 mm, and the stiffness is fourfold from 0.39 mm on
     slips = (beyond > 0.0) * 1.5 * np.mod(beyond / 0.055 + 0.3 * np.sin(9.0 * beyond), 1.0)
-    force_N = 75.0 * beyond + 225.0 * np.maximum(beyond - 0.39, 0.0) - slips
-    force_N += np.random.default_rng(seed).normal(0.0, 0.01, depth_mm.size)
-    found = fit_contact(
-        depth_mm,
-        factor * force_N,
-        noise_N=0.003 * factor,
-        baseline=True,
-        reach_back_mm=0.0,
-        noise_samples=depth_mm.size,
-    )
+    force_N = 75.0 * beyond + 225.0 * np.maximum(beyond - 0.39, 0.0) - slips + normal(0.01, depth_mm, seed)
+    found = fitted(depth_mm, factor * force_N, 0.003 * factor)
     assert found.sd_mm < 0.015
     assert abs(found.contact_mm - 0.142) < 2.0 * found.sd_mm
 
 
 def test_force_that_never_rises_is_no_contact():
-    rng = np.random.default_rng(6)
     time_s = np.arange(0.0, 4.0, 0.01)
-    air = Trial("air", time_s, 2.0 * time_s, 0.3 * rng.standard_normal(time_s.size))
-    found = segment(air)
+    found = divided(time_s, 2.0 * time_s, normal(0.3, time_s, 6))
     assert found.contact is None
     assert "no_contact" in codes(found)
-    assert [phase.kind for phase in found.phases] == ["approach"]
+    assert kinds(found) == ["approach"]
 
 
 @pytest.mark.parametrize(("speed", "sets_off_s"), [(100.0, 0.02), (100.0, 0.01), (50.0, 0.03)])
@@ -97,8 +91,7 @@ def test_a_mass_that_sets_off_is_no_specimen_that_breaks(speed, sets_off_s):
     travel = np.cumsum(rate) * 1e-3 - 8.0
     depth = np.maximum(travel, 0.0)
     force = depth + 0.1 * depth**2 + 0.05 * depth**3 + 1.5e-4 * np.gradient(rate, time_s)
-    force += np.random.default_rng(4).normal(0.0, 0.01, time_s.size)
-    found = segment(Trial("liver", time_s, travel, force))
+    found = divided(time_s, travel, force + normal(0.01, time_s, 4))
     assert "rupture" not in codes(found)
     assert kinds(found)[-2:] == ["ramp", "hold"]
     assert abs(found.contact.displacement_mm) < 3.0 * found.contact.sd_mm < 0.5
@@ -111,19 +104,17 @@ def test_an_organ_that_breathes_is_met_and_held(swing_mm, rest_s):
     time_s = np.arange(0.0, 7.0 + rest_s, 0.01)
     travel = np.clip(time_s - 2.0, 0.0, 5.0) * 2.0 - 5.0
     depth = np.maximum(travel + swing_mm * np.sin(0.4 * np.pi * time_s), 0.0)
-    force = depth + 0.1 * depth**2 + 0.05 * depth**3 + np.random.default_rng(2).normal(0.0, 0.01, time_s.size)
-    found = segment(Trial("liver", time_s, travel, force))
+    force = depth + 0.1 * depth**2 + 0.05 * depth**3
+    found = divided(time_s, travel, force + normal(0.01, time_s, 2))
     assert abs(found.contact.displacement_mm) < 3.0 * found.contact.sd_mm + swing_mm
     hold = found.phases[-1]
     assert (hold.kind, time_s[hold.start]) == ("hold", pytest.approx(7.0, abs=0.02))
 
 
 def test_a_reading_that_wanders_in_air_is_no_contact():
-    rng = np.random.default_rng(9)
     time_s = np.arange(0.0, 60.0, 0.01)
-    wandering = lfilter([1.0], [1.0, -0.99], rng.normal(0.0, 0.02, time_s.size))
-    found = segment(Trial("air", time_s, np.minimum(time_s, 10.0), wandering))
-    assert "no_contact" in codes(found)
+    wandering = lfilter([1.0], [1.0, -0.99], normal(0.02, time_s, 9))
+    assert "no_contact" in codes(divided(time_s, np.minimum(time_s, 10.0), wandering))
 
 
 @pytest.mark.parametrize(
@@ -144,11 +135,9 @@ def test_a_soft_start_is_no_evidence_for_air_and_says_that_it_may_lie_there(air_
     time, said = np.arange(0.0, 12.0, 0.01), 0
     travel = np.clip(15.0 * (time - 1.0), 0.0, 17.0)
     depth = np.maximum(travel - air_mm, 0.0)
+    force = 0.02 * depth + 0.01 * depth**2 + 0.002 * depth**3
     for seed in range(4):
-        noise = 0.03 * np.random.default_rng(seed).standard_normal(time.size)
-        found = segment(
-            Trial("soft", time, travel, 0.02 * depth + 0.01 * depth**2 + 0.002 * depth**3 + noise)
-        )
+        found = divided(time, travel, force + normal(0.03, time, seed))
         assert abs(found.contact.displacement_mm - air_mm) <= 1.96 * found.contact.sd_mm
         said += "in air; the start is taken" in flag_of(found, "starts_in_contact").message
     assert air_mm == 0.0 or said >= 3
@@ -189,8 +178,7 @@ def test_steps_of_a_reading_are_told_from_those_of_a_speed(slope):
 def test_a_ramp_of_few_equal_steps_is_whole(rate_Hz, air_s):
     time_s = np.arange(0.0, 14.0, 1.0 / rate_Hz)
     travel = np.clip(2.0 * (time_s - air_s), 0.0, 4.0)
-    force = travel + 0.2 * travel**2 + 0.02 * np.random.default_rng(3).standard_normal(time_s.size)
-    (ramp,) = (phase for phase in segment(Trial("r", time_s, travel, force)).phases if phase.kind == "ramp")
+    (ramp,) = divided(time_s, travel, travel + 0.2 * travel**2 + normal(0.02, time_s, 3)).of_kind("ramp")
     assert (ramp.start_s, ramp.end_s) == pytest.approx((air_s, air_s + 2.0))
 
 
@@ -219,8 +207,7 @@ SOFT = {"static": (0.3, 0.05, 0.02), "branches": (Branch((0.5,), 3.0),), "contac
 
 def soft_tissue(*moves: Move | Hold, seed: int = 0, sigma_N: float = 0.027, **changes) -> Trial:
     """Contact at 1.3 mm, 9 N at 7 mm, noise 0.3 % of it, 50 samples/s; speeds in mm/min."""
-    settings = Recipe("s", (Log("s", moves),), **{"rate_Hz": 50.0, "sigma_N": sigma_N, **SOFT, **changes})
-    return as_trials(simulate(settings, rng=np.random.default_rng(seed)))[0]
+    return simulated(*moves, seed=seed, **{"rate_Hz": 50.0, "sigma_N": sigma_N, **SOFT, **changes})
 
 
 def test_a_light_touch_that_is_held_places_the_contact_and_is_a_hold():
@@ -234,14 +221,12 @@ def test_a_light_touch_that_is_held_places_the_contact_and_is_a_hold():
 
 @pytest.mark.parametrize("preload_mm", [1.6, 1.9])
 def test_a_record_that_begins_in_the_rest_after_a_preload_has_its_contact_behind_it(preload_mm):
-    errors = []
+    errors, moves = [], (Move(preload_mm, 30.0), Hold(60.0), Move(7.0, 180.0), Hold(60.0))
     for seed in range(12):
-        trial = soft_tissue(
-            Move(preload_mm, 30.0), Hold(60.0), Move(7.0, 180.0), Hold(60.0), seed=seed, sigma_N=0.01
-        )
+        trial = soft_tissue(*moves, seed=seed, sigma_N=0.01)
         rest = trial.time_s > 55.0
-        cut = Trial("cut", *(values[rest] for values in (trial.time_s, trial.displacement_mm, trial.force_N)))
-        contact = segment(cut).contact
+        channels = (trial.time_s, trial.displacement_mm, trial.force_N)
+        contact = divided(*(values[rest] for values in channels)).contact
         errors.append((contact.displacement_mm - 1.3) / contact.sd_mm)
     assert (np.abs(errors) > 2.0).sum() <= 2
 
@@ -264,7 +249,7 @@ def test_no_kink_of_the_noise_is_a_contact(peak_sd, power):
         # 50 samples at rest, 60 in air, 20 in tissue
         travel = np.concatenate([np.zeros(50), np.arange(1, 81) / 80.0])
         force = peak_sd * np.maximum((travel - 0.75) / 0.25, 0.0) ** power + rng.normal(size=travel.size)
-        contact = segment(Trial("noisy", np.arange(travel.size) * 0.02, travel, force)).contact
+        contact = divided(np.arange(travel.size) * 0.02, travel, force).contact
         errors.append((contact.displacement_mm - 0.75) / contact.sd_mm)
     # 60 intervals of 95 %, and what a start without a slope hides in noise
     assert (np.abs(errors) > 2.0).sum() <= (8 if power == 1.0 else 16)
@@ -274,11 +259,9 @@ def test_no_kink_of_the_noise_is_a_contact(peak_sd, power):
 @pytest.mark.parametrize("moved_mm", [0.0, 0.5])
 def test_a_contact_after_loops_that_let_go_knows_of_the_first_one(moved_mm):
     time = np.arange(0.0, 60.0, 0.02)
-    turns = ([0, 1, 3, 5, 7, 9, 11, 13, 15, 18, 60], [0, 0, 4, 0, 4, 0, 4, 0, 0, 6, 6])
-    travel = np.interp(time, *turns)
+    travel = np.interp(time, [0, 1, 3, 5, 7, 9, 11, 13, 15, 18, 60], [0, 0, 4, 0, 4, 0, 4, 0, 0, 6, 6])
     surface = 1.0 + moved_mm * (time > 5.0)
-    force = np.maximum(travel - surface, 0.0) + 0.005 * np.random.default_rng(3).normal(size=time.size)
-    found = segment(Trial("loops", time, travel, force))
+    found = divided(time, travel, np.maximum(travel - surface, 0.0) + normal(0.005, time, 3))
     assert kinds(found)[-4:] == ["rest", "approach", "ramp", "hold"]
     # the first one is the tissue's, the other's distance its sd: nobody knows whether it comes back
     assert found.contact.displacement_mm == pytest.approx(1.0, abs=0.03)
@@ -289,15 +272,13 @@ def test_a_contact_after_loops_that_let_go_knows_of_the_first_one(moved_mm):
 
 @pytest.mark.parametrize("scale", [(1.0, 1.0, 1.0), (1e-3, 1e-4, 1e-6), (1e2, 1e3, 1e4)])
 def test_a_recording_without_noise_has_its_contact_at_any_scale(scale):
-    seconds, millimetres, newtons = scale
+    seconds, mm, newtons = scale
     trial = ramp_in_air(sigma_N=0.0)
-    found = segment(
-        Trial("n", trial.time_s * seconds, trial.displacement_mm * millimetres, trial.force_N * newtons)
-    ).contact
+    found = divided(trial.time_s * seconds, trial.displacement_mm * mm, trial.force_N * newtons).contact
     assert found.in_record
-    assert 0.0 < found.sd_mm < 0.02 * millimetres
+    assert 0.0 < found.sd_mm < 0.02 * mm
     # the branch's first rise lies between two samples 0.04 mm apart
-    assert found.displacement_mm == pytest.approx(millimetres, abs=0.02 * millimetres)
+    assert found.displacement_mm == pytest.approx(mm, abs=0.02 * mm)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -329,7 +310,7 @@ def test_wild_recordings_are_divided_without_a_warning(kind):
             "Cauchy travel": (np.cumsum(rng.standard_cauchy(n)), force),
             "steep": (depth, np.exp(np.linspace(0.0, 200.0, n))),
         }[kind]
-        contact = segment(Trial("wild", time_s, *wild)).contact
+        contact = divided(time_s, *wild).contact
         assert contact is None or (np.isfinite(contact.displacement_mm) and contact.sd_mm >= 0.0)
 
 
@@ -342,11 +323,10 @@ def test_a_curved_tip_after_clear_air_is_not_in_contact_from_the_start():
             at = 1.2 * depth + float(rng.normal(0.0, 0.02))
             travel = np.interp(time, [0.0, 1.1], [0.0, 2.2 * depth])
             force = 8.0 * np.maximum(travel - at, 0.0) ** 1.5 + 0.5 * rng.standard_normal(time.size)
-            found = segment(Trial("ball", time, travel, force))
-            contact = found.contact
-            assert contact.in_record
+            found = divided(time, travel, force)
+            assert found.contact.in_record
             assert "starts_in_contact" not in codes(found)
-            scores.append((contact.displacement_mm - at) / contact.sd_mm)
+            scores.append((found.contact.displacement_mm - at) / found.contact.sd_mm)
     # the form at contact is no polynomial: within three of its errors, not two
     assert (np.abs(scores) < 3.5).all()
 
@@ -356,10 +336,7 @@ def test_a_contact_that_no_shape_describes_is_as_uncertain_as_the_misfit_whateve
     # stiffness that is lost within 20 um: far from a cubic with one branch, next to no noise
     depth = np.linspace(-0.5, 6.0, 2000)
     x = np.maximum(depth, 0.0)
-    force = 60.0 * np.expm1(0.2 * x) + 8.0 * -np.expm1(-x / 0.02) + 20.0 * np.sqrt(x)
-    found = fit_contact(
-        depth, force, noise_N=noise_N, noise_samples=depth.size, baseline=True, reach_back_mm=0.0
-    )
+    found = fitted(depth, 60.0 * np.expm1(0.2 * x) - 8.0 * np.expm1(-x / 0.02) + 20.0 * np.sqrt(x), noise_N)
     assert not found.adequate
     assert abs(found.contact_mm) <= 2.0 * found.sd_mm
     assert found.sd_mm <= 0.002
@@ -370,10 +347,8 @@ def test_a_tool_that_is_dragged_through_air_meets_the_tissue_where_the_force_gro
     time = np.arange(0.0, 12.0, 0.01)
     depth = np.clip(time - 2.0, 0.0, 6.5)
     deep = np.maximum(depth - 1.5, 0.0)
-    moves = (time > 2.0) & (time < 8.5)
-    noise = np.random.default_rng(3).normal(0.0, 0.005, time.size)
-    force = 0.5 * deep + 0.1 * deep**2 + 0.1 * moves + noise
-    found = segment(Trial("needle", time, sign * depth, sign * force))
+    force = 0.5 * deep + 0.1 * deep**2 + 0.1 * ((time > 2.0) & (time < 8.5)) + normal(0.005, time, 3)
+    found = divided(time, sign * depth, sign * force)
     assert found.contact.in_record
     assert abs(sign * found.contact.displacement_mm - 1.5) < 3.0 * found.contact.sd_mm < 0.1
     assert sign * found.contact.baseline_N == pytest.approx(0.1, abs=0.005)
@@ -383,17 +358,16 @@ def test_a_tool_that_is_dragged_through_air_meets_the_tissue_where_the_force_gro
 def test_a_force_that_goes_on_as_it_leapt_is_tissue_and_no_drag() -> None:
     time = np.arange(0.0, 12.0, 0.01)
     deep = np.clip(time - 2.0, 0.0, 6.5)
-    noise = np.random.default_rng(4).normal(0.0, 0.005, time.size)
     # a fast branch leaps as a drag does; the static curve behind it rises
-    force = 0.02 * deep + 0.1 * deep**2 + 0.1 * ((time > 2.0) & (time < 8.5)) + noise
-    assert "drag" not in codes(segment(Trial("fast branch", time, deep, force)))
+    force = 0.02 * deep + 0.1 * deep**2 + 0.1 * ((time > 2.0) & (time < 8.5)) + normal(0.005, time, 4)
+    assert "drag" not in codes(divided(time, deep, force))
 
 
 def test_logs_that_start_in_contact_are_seldom_cut():
     # a stiffness that grows from nothing; 14 where air is believed at 2 sd
-    rng, ramp = np.random.default_rng(3), Log("ramp", (Move(8.0, 250.0),))
-    settings = Recipe("c", (ramp,), rate_Hz=1000.0, sigma_N=1.0, branches=(Branch((0.0, 63.62), 0.021),))
-    trials = (as_trials(simulate(settings, rng=rng))[0] for _ in range(100))
+    rng = np.random.default_rng(3)
+    settings = {"rate_Hz": 1000.0, "sigma_N": 1.0, "branches": (Branch((0.0, 63.62), 0.021),)}
+    trials = (simulated(Move(8.0, 250.0), seed=rng, **settings) for _ in range(100))
     assert sum(segment(one).contact.in_record for one in trials) <= 11
 
 
@@ -404,8 +378,7 @@ def test_a_force_at_rest_is_the_zero_of_the_load_cell_where_negative_and_a_prelo
     # 1 s at rest on the surface, a ramp of 2 mm in 1 s, 10 s hold; 100 Hz, 10 N/mm, noise 0.01 N
     time = np.arange(1200) * 0.01
     depth = 2.0 * np.clip(time - 1.0, 0.0, 1.0)
-    noise = np.random.default_rng(3).normal(0.0, 0.01, time.size)
-    found = segment(Trial("synthetic", time, depth, 10.0 * depth + zero_N + noise))
+    found = divided(time, depth, 10.0 * depth + zero_N + normal(0.01, time, 3))
     # mean of 100 samples of noise 0.01 N: sd 0.001 N
     assert found.contact.baseline_N == pytest.approx(baseline_N, abs=0.005)
     assert preloaded or abs(found.contact.displacement_mm) <= 4.0 * found.contact.sd_mm
@@ -416,13 +389,12 @@ def test_a_force_that_relaxes_below_its_zero_before_the_ramp_was_zeroed_in_conta
     # 30 s at rest 1 mm deep, where the force was zeroed, a ramp of 4 mm, a hold
     time = np.arange(0.0, 60.0, 0.01)
     pushed = np.clip(time - 30.0, 0.0, 4.0)
-    noise = np.random.default_rng(5).normal(0.0, 0.005, time.size)
-    force = 0.4 * pushed + 0.1 * pushed**2 + 0.05 * np.expm1(-time / 15.0) + noise
-    found = segment(Trial("tared", time, pushed, force))
+    relaxed = 0.05 * np.expm1(-time / 15.0)
+    force = 0.4 * pushed + 0.1 * pushed**2 + relaxed + normal(0.005, time, 5)
+    found = divided(time, pushed, force)
     assert "zeroed in contact" in flag_of(found, "contact_uncertain").message
     # a load cell that holds its zero there says nothing of the kind
-    steady = segment(Trial("steady", time, pushed, force - 0.05 * np.expm1(-time / 15.0) - 0.02))
-    assert "contact_uncertain" not in codes(steady)
+    assert "contact_uncertain" not in codes(divided(time, pushed, force - relaxed - 0.02))
 
 
 def in_air(
@@ -465,10 +437,8 @@ def test_a_specimen_that_pulls_from_the_start_is_no_drift() -> None:
     # a stiff specimen with a weak toe: half the stiffness over the first third of the travel
     time = np.arange(0.0, 30.0, 0.02)
     x = 0.02 * np.minimum(time, 20.0)
-    force = (
-        1000.0 * x + 1000.0 * np.maximum(x - 0.12, 0.0) + np.random.default_rng(3).normal(0.0, 0.5, time.size)
-    )
-    assert "baseline_drift" not in codes(segment(Trial("s", time, x, force)))
+    force = 1000.0 * x + 1000.0 * np.maximum(x - 0.12, 0.0) + normal(0.5, time, 3)
+    assert "baseline_drift" not in codes(divided(time, x, force))
 
 
 @pytest.mark.parametrize("step_N", [0.05, 0.2, 0.5])
@@ -476,9 +446,8 @@ def test_digits_without_noise_are_no_noise_and_part_of_the_contact_s_sd(step_N):
     time_s = np.arange(0.0, 30.0, 0.01)
     travel = np.interp(time_s, [0.0, 5.0], [-1.0, 4.0])
     depth = np.maximum(travel, 0.0)
-    held = np.maximum(time_s - 5.0, 0.0)
-    force = (1.0 * depth + 0.1 * depth**2) * (0.7 + 0.3 * np.exp(-held / 2.0))
-    contact = segment(Trial("steps", time_s, travel, np.round(force / step_N) * step_N)).contact
+    force = (1.0 * depth + 0.1 * depth**2) * (0.7 + 0.3 * np.exp(-np.maximum(time_s - 5.0, 0.0) / 2.0))
+    contact = divided(time_s, travel, np.round(force / step_N) * step_N).contact
     assert contact.in_record
     assert abs(contact.displacement_mm) < 2.5 * contact.sd_mm
     assert contact.sd_mm < 0.3 * step_N + 0.02
@@ -518,20 +487,14 @@ def one_score(condition: Condition, speed: float, rng: np.random.Generator) -> t
     """Error and stated sd of one ramp [mm]; a load cell that is off by up to 5 sigma in air."""
     static, branches = TISSUES[condition.tissue]
     offset = float(rng.uniform(0.6, 1.6) if condition.start == "air" else -rng.uniform(0.3, 0.8))
-    settings = Recipe(
-        "c",
-        (Log("ramp", (Move(DEPTH_MM, speed),)),),
-        rate_Hz=condition.rate_Hz,
-        static=static,
-        branches=branches,
-        sigma_N=condition.sigma_N,
-        contact_offset_mm=offset,
-    )
-    trial = as_trials(simulate(settings, rng=rng))[0]
+    trial = simulated(
+        Move(DEPTH_MM, speed), seed=rng, rate_Hz=condition.rate_Hz, static=static, branches=branches,
+        sigma_N=condition.sigma_N, contact_offset_mm=offset,
+    )  # fmt: skip
     # at 10 samples/s a reading that is off can't be told from a preload: there the cell is tared
     zero = 5.0 * condition.sigma_N * float(rng.uniform(-1.0, 1.0))
     zero *= condition.start == "air" and condition.rate_Hz > 10.0
-    contact = segment(Trial("c", trial.time_s, trial.displacement_mm - 2.0, trial.force_N + zero)).contact
+    contact = divided(trial.time_s, trial.displacement_mm - 2.0, trial.force_N + zero).contact
     return contact.displacement_mm + 2.0 - offset, contact.sd_mm
 
 

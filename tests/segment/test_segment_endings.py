@@ -6,7 +6,7 @@ import csv
 
 import numpy as np
 import pytest
-from told import codes, events, flag_of, kinds
+from told import codes, divided, events, flag_of, kinds, normal
 
 from tissueid.segment import SegmentOptions, segment, segmentation
 from tissueid.trial import Event, Protocol, Segmentation, Trial
@@ -16,8 +16,8 @@ def drawn(knots_s: list[float], depths_mm: list[float], **protocol: float) -> Tr
     """A polyline into an elastic tissue of 10 N/mm, 100 Hz, noise 0.02 N."""
     time = np.arange(0.0, knots_s[-1], 0.01)
     depth = np.interp(time, knots_s, depths_mm)
-    noise = 0.02 * np.random.default_rng(4).standard_normal(time.size)
-    return Trial("drawn", time, depth, 10.0 * np.maximum(depth, 0.0) + noise, Protocol(**protocol))
+    force = 10.0 * np.maximum(depth, 0.0) + normal(0.02, time, 4)
+    return Trial("drawn", time, depth, force, Protocol(**protocol))
 
 
 @pytest.mark.parametrize(
@@ -74,10 +74,8 @@ def test_a_test_that_reached_its_end_was_not_aborted(knots, depths, protocol) ->
 def creeping(creep_mm: float) -> Trial:
     """40 N reached in 4 s and held for 30 s while the tool sinks in."""
     time = np.arange(0.0, 34.0, 0.01)
-    since = np.maximum(time - 4.0, 0.0)
-    depth = np.minimum(time, 4.0) + creep_mm * (1.0 - np.exp(-since / 8.0))
-    noise = 0.05 * np.random.default_rng(5).standard_normal(time.size)
-    return Trial("creep", time, depth, 10.0 * np.minimum(time, 4.0) + noise)
+    depth = np.minimum(time, 4.0) + creep_mm * (1.0 - np.exp(-np.maximum(time - 4.0, 0.0) / 8.0))
+    return Trial("creep", time, depth, 10.0 * np.minimum(time, 4.0) + normal(0.05, time, 5))
 
 
 @pytest.mark.parametrize("creep_mm", [0.15, 0.5])
@@ -99,15 +97,11 @@ def test_creep_that_begins_fast_is_told_from_the_ramp_at_every_load(steps: int) 
         ramp = np.clip(time - start, 0.0, 1.0)
         depth = depth + ramp - 0.7 * np.expm1(-np.maximum(time - start - 1.0, 0.0) / 2.0)
         force = force + 2.0 * ramp
-    noise = 0.01 * np.random.default_rng(8).standard_normal(time.size)
-    found = segment(Trial("creep", time, depth, force + noise))
+    found = divided(time, depth, force + normal(0.01, time, 8))
     assert kinds(found) == ["ramp", "creep"] * steps
-    assert [one.start_s for one in found.phases if one.kind == "creep"] == pytest.approx(
-        31.0 * np.arange(steps) + 1.0, abs=0.05
-    )
-    assert [one.speed_mm_s for one in found.phases if one.kind == "ramp"] == pytest.approx(
-        [1.0] * steps, rel=0.02
-    )
+    starts = [one.start_s for one in found.of_kind("creep")]
+    assert starts == pytest.approx(31.0 * np.arange(steps) + 1.0, abs=0.05)
+    assert [one.speed_mm_s for one in found.of_kind("ramp")] == pytest.approx([1.0] * steps, rel=0.02)
 
 
 def test_an_elastic_tissue_at_a_held_depth_is_a_hold() -> None:
@@ -126,7 +120,7 @@ def softening_loops(depth_mm: list[float], peak_N: list[float]) -> Trial:
     depth = np.interp(time, knots, depths)
     loop = np.minimum(np.searchsorted(knots[2::2], time, side="right"), len(depth_mm) - 1)
     force = depth * (np.array(peak_N) / np.array(depth_mm))[loop]
-    return Trial("loops", time, depth, force + 0.02 * np.random.default_rng(6).standard_normal(time.size))
+    return Trial("loops", time, depth, force + normal(0.02, time, 6))
 
 
 def test_loops_that_turn_at_one_force_show_a_load_limit() -> None:
@@ -165,7 +159,7 @@ def retracted(pull_N: float, end_N: float = 0.0) -> Trial:
     leaving = (time > 4.0) & (depth < 0.5) & (depth > -0.5)
     force[leaving] -= pull_N
     force[time > 4.0] += end_N
-    return Trial("drawn", time, depth, force + 0.02 * np.random.default_rng(4).standard_normal(time.size))
+    return Trial("drawn", time, depth, force + normal(0.02, time, 4))
 
 
 def test_tissue_that_pulls_as_the_tool_leaves_adheres() -> None:
@@ -179,21 +173,14 @@ def test_a_clean_retract_or_a_zero_that_drifted_is_no_adhesion(pull_N: float, en
     assert "adhesion" not in codes(segment(retracted(pull_N, end_N)))
 
 
-def load_controlled(creep_mm: float, tau_s: float) -> Trial:
-    """Load at a constant rate to 10 N in 60 s, held for 20 s, and off again, under a spherical tip."""
-    time = np.arange(0.0, 140.0, 0.1)
-    load = np.interp(time, [0.0, 60.0, 80.0, 140.0], [0.0, 10.0, 10.0, 0.0])
-    crept = creep_mm * (1.0 - np.exp(-np.clip(time - 60.0, 0.0, None) / tau_s))
-    rng = np.random.default_rng(6)
-    depth = load ** (2.0 / 3.0) + crept * (load > 0.0)
-    return Trial(
-        "load", time, depth + 1e-4 * rng.normal(size=time.size), load + 1e-3 * rng.normal(size=time.size)
-    )
-
-
 @pytest.mark.parametrize(("creep_mm", "tau_s"), [(0.2, 15.0), (0.3, 10.0)])
 def test_a_held_load_is_told_though_the_tool_slows_down_before_it(creep_mm: float, tau_s: float) -> None:
-    found = segment(load_controlled(creep_mm, tau_s))
+    """Load at a constant rate to 10 N in 60 s, held for 20 s, and off again, under a spherical tip."""
+    time, rng = np.arange(0.0, 140.0, 0.1), np.random.default_rng(6)
+    load = np.interp(time, [0.0, 60.0, 80.0, 140.0], [0.0, 10.0, 10.0, 0.0])
+    crept = creep_mm * (1.0 - np.exp(-np.clip(time - 60.0, 0.0, None) / tau_s))
+    depth = load ** (2.0 / 3.0) + crept * (load > 0.0) + 1e-4 * rng.normal(size=time.size)
+    found = divided(time, depth, load + 1e-3 * rng.normal(size=time.size))
     assert kinds(found)[:3] == ["ramp", "creep", "retract"]
     assert found.phases[1].start_s == pytest.approx(60.0, abs=2.5)
 
@@ -236,8 +223,7 @@ def test_a_crosshead_that_slows_down_holds_no_load(shape: str) -> None:
     depth = 5.0 * (even if shape == "even" else np.sin(0.5 * np.pi * u))
     force = depth + np.gradient(depth, time) * 0.5
     force *= 0.7 + 0.3 * np.exp(-np.clip(time - 4.0, 0.0, None))
-    noise = 0.01 * np.random.default_rng(7).normal(size=time.size)
-    assert "creep" not in kinds(segment(Trial(shape, time, depth, force + noise)))
+    assert "creep" not in kinds(divided(time, depth, force + normal(0.01, time, 7)))
 
 
 SPEED = 2.0
@@ -255,8 +241,7 @@ def loops(peaks_N: list[float], *, then_hold: bool = False, eta: float = 2.0, si
     loop = np.minimum((time / (6.0 / SPEED)).astype(int), count - 1)
     scale = np.array(peaks_N)[loop] / (30.0 + eta * SPEED)
     force = scale * (10.0 * depth + eta * np.gradient(depth, time))
-    noise = sigma_N * np.random.default_rng(7).standard_normal(time.size)
-    return Trial("loops", time, depth, force + noise)
+    return Trial("loops", time, depth, force + normal(sigma_N, time, 7))
 
 
 def verdict(found: Segmentation):
@@ -301,7 +286,7 @@ def test_work_alone_may_still_change() -> None:
     force = np.array(trial.force_N)
     last = time >= 6.0
     force[last] = (34.0 / 32.0) * (10.0 * depth[last] + np.gradient(depth, time)[last])
-    flag = verdict(segment(Trial("loops", time, depth, force)))
+    flag = verdict(divided(time, depth, force))
     assert flag.code == "not_preconditioned"
     assert flag.values["work_change"] == pytest.approx(0.5, abs=0.05)
 
@@ -309,11 +294,8 @@ def test_work_alone_may_still_change() -> None:
 def test_coarse_sampling_of_the_turn_is_no_change() -> None:
     trial = loops([34.0] * 4)
     # every 13th sample: the turns are missed by up to 0.13 mm, 1.3 N of 34
-    coarse = Trial(
-        "coarse", *(np.array(a)[::13] for a in (trial.time_s, trial.displacement_mm, trial.force_N))
-    )
-    flag = verdict(segment(coarse))
-    assert flag.values["peak_force_change"] < 0.02
+    coarse = divided(trial.time_s[::13], trial.displacement_mm[::13], trial.force_N[::13])
+    assert verdict(coarse).values["peak_force_change"] < 0.02
 
 
 def test_one_loop_is_no_cyclic_test() -> None:
@@ -330,8 +312,8 @@ def ramp(force_of_depth, *, hold_s: float = 0.0, sigma_N: float = 0.05, seed: in
     """1 mm in air, then into the tissue at 1 mm/s to 6 mm."""
     time = np.arange(0.0, 7.0 + hold_s, 0.01)
     depth = np.minimum(time, 7.0) - 1.0
-    noise = sigma_N * np.random.default_rng(seed).standard_normal(time.size)
-    return Trial("ramp", time, depth, force_of_depth(np.maximum(depth, 0.0)) + noise)
+    force = force_of_depth(np.maximum(depth, 0.0)) + normal(sigma_N, time, seed)
+    return Trial("ramp", time, depth, force)
 
 
 def relaxing(time: np.ndarray, depth: np.ndarray, tau_s: float, gain: float) -> Trial:
@@ -343,8 +325,13 @@ def relaxing(time: np.ndarray, depth: np.ndarray, tau_s: float, gain: float) -> 
     return Trial("relaxing", time, depth, 2.0 * depth + gain * np.array(branch))
 
 
+def broken(x: np.ndarray) -> np.ndarray:
+    """Force of 10 N/mm of which 60 % break away at 4 mm."""
+    return np.where(x <= 4.0, 10.0 * x, 4.0 * x)
+
+
 def test_a_rupture_has_its_force_drop_depth_and_work() -> None:
-    found = segment(ramp(lambda x: np.where(x <= 4.0, 10.0 * x, 4.0 * x)))
+    found = segment(ramp(broken))
     (event,) = ruptures(found)
     assert event.time_s == pytest.approx(5.0, abs=0.01)
     values = event.values
@@ -369,11 +356,8 @@ def test_every_layer_that_breaks_is_found() -> None:
 
 @pytest.mark.parametrize("samples", [1, 3, 10])
 def test_a_fall_that_takes_a_few_samples_is_dated_at_its_onset(samples: int) -> None:
-    def force(x: np.ndarray) -> np.ndarray:
-        fallen = np.clip((x - 3.0) * 100.0 / samples, 0.0, 1.0)
-        return 10.0 * x * (1.0 - 0.7 * fallen)
-
-    (event,) = ruptures(segment(ramp(force)))
+    trial = ramp(lambda x: 10.0 * x * (1.0 - 0.7 * np.clip((x - 3.0) * 100.0 / samples, 0.0, 1.0)))
+    (event,) = ruptures(segment(trial))
     assert event.time_s == pytest.approx(4.0, abs=0.03)
 
 
@@ -390,7 +374,7 @@ def test_single_outliers_are_no_rupture() -> None:
     force = np.array(trial.force_N)
     force[[300, 450, 451]] -= 25.0
     force[620] = 0.0
-    assert ruptures(segment(Trial("spikes", trial.time_s, trial.displacement_mm, force))) == []
+    assert ruptures(divided(trial.time_s, trial.displacement_mm, force)) == []
 
 
 @pytest.mark.parametrize("rounding_s", [0.0, 0.2])
@@ -420,12 +404,11 @@ def test_a_soft_middle_is_no_rupture() -> None:
 def test_unloading_is_no_rupture() -> None:
     time = np.arange(0.0, 8.0, 0.01)
     depth = np.interp(time, [0, 4, 4.4, 8], [0, 4, 0, 0])
-    assert ruptures(segment(Trial("unloaded", time, depth, 10.0 * depth))) == []
+    assert ruptures(divided(time, depth, 10.0 * depth)) == []
 
 
 def test_the_user_may_say_it_is_none() -> None:
-    trial = ramp(lambda x: np.where(x <= 4.0, 10.0 * x, 4.0 * x))
-    found = segment(trial, options=SegmentOptions(rupture=False))
+    found = segment(ramp(broken), options=SegmentOptions(rupture=False))
     assert found.events == ()
     assert "rupture" not in codes(found)
 
@@ -449,20 +432,16 @@ def test_a_swing_of_correlated_noise_in_air_hides_no_contact(seed: int) -> None:
     for fresh in rng.standard_normal(trial.time_s.size).tolist():
         noise = 0.9 * noise + 0.25 * np.sqrt(1.0 - 0.9**2) * fresh
         noises.append(noise)
-    found = segment(Trial("swings", trial.time_s, trial.displacement_mm, trial.force_N + noises))
+    found = divided(trial.time_s, trial.displacement_mm, trial.force_N + noises)
     assert "no_contact" not in codes(found)
     assert "ramp" in kinds(found)
 
 
-def numbers(path, skip: int) -> np.ndarray:
-    with path.open(encoding="latin-1", newline="") as file:
-        rows = list(csv.reader(file))[skip:]
-    return np.array([[float(cell) for cell in row[:3]] for row in rows if row])
-
-
 def test_cyclic_bluehill_file_is_cyclic_without_a_hold_and_not_preconditioned(shared_data):
-    data = numbers(shared_data / "instron-bluehill-cyclic-cc0" / "Specimen_RawData_6.csv", 5)
-    found = segment(Trial("real", *data.T))
+    path = shared_data / "instron-bluehill-cyclic-cc0" / "Specimen_RawData_6.csv"
+    rows = list(csv.reader(path.read_text("latin-1").splitlines()))[5:]
+    data = np.array([[float(cell) for cell in row[:3]] for row in rows if row])
+    found = divided(*data.T)
     assert (found.compression_sign, found.force_sign) == (-1, -1)
     assert kinds(found) == ["cycle"] * 3
     assert {"cyclic", "no_hold", "preload", "not_preconditioned"} <= codes(found)
@@ -481,7 +460,7 @@ def test_an_invar_bar_pulled_to_failure_ruptures_after_its_peak(shared_data):
     columns = [names.index(name) for name in ("Time", "Standard travel", "Standard force")]
     table = rows[rows.index(names) + 2 :]
     data = np.array([[float(row[k]) for k in columns] for row in table])
-    found = segment(Trial("invar", *data.T))
+    found = divided(*data.T)
     (event,) = events(found, "rupture")
     # necking from the peak of 7.4 kN at 0.9 mm on; hardly anything is carried at the end
     assert 0.9 < event.values["depth_mm"] < 1.3

@@ -11,18 +11,17 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from told import codes, flag_of, kinds
+from told import codes, divided, flag_of, kinds, normal, simulated
 
 from tissueid.inference.window import fitted_log
 from tissueid.segment import SegmentOptions, segment
 from tissueid.segment.motion import _held_step, _moving, path_noise
-from tissueid.synth import Hold, Log, Move, Recipe, as_trials, recipe, simulate
+from tissueid.synth import Hold, Move, as_trials, recipe, simulate
 from tissueid.trial import Protocol, Source, Trial
 
 
-def trial_of(log: Log, seed: int = 0, **changes) -> Trial:
-    settings = Recipe("test", (log,), **{"rate_Hz": 100.0, "sigma_N": 0.5, **changes})
-    return as_trials(simulate(settings, rng=np.random.default_rng(seed)))[0]
+def trial_of(*moves: Move | Hold, **changes) -> Trial:
+    return simulated(*moves, **{"rate_Hz": 100.0, "sigma_N": 0.5, **changes})
 
 
 @pytest.mark.parametrize("rate_Hz", [10.0, 100.0, 1000.0])
@@ -65,19 +64,19 @@ STEPS = tuple(step for k in range(1, 5) for step in (Move(float(k), 100.0), Hold
     ids=["preconditioning before a test", "several steps", "a retract", "dwell of a stop after a long ramp"],
 )
 def test_programs_have_their_phases(moves, expected, said):
-    found = segment(trial_of(Log("p", moves)))
+    found = segment(trial_of(*moves))
     assert kinds(found) == expected
     assert codes(found) & {"several_steps", "no_hold"} == said
 
 
 def test_user_may_ask_for_short_holds():
-    trial = trial_of(Log("d", (Move(8.0, 10.0), Hold(0.3))))
+    trial = trial_of(Move(8.0, 10.0), Hold(0.3))
     assert kinds(segment(trial, options=SegmentOptions(minimum_hold_s=0.2))) == ["ramp", "hold"]
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_signs_follow_the_dominant_excursion_and_the_user_wins(sign):
-    trial = trial_of(Log("s", (Move(4.0, 250.0), Hold(2.0))), compression_sign=sign)
+    trial = trial_of(Move(4.0, 250.0), Hold(2.0), compression_sign=sign)
     found = segment(trial)
     assert (found.compression_sign, found.force_sign) == (sign, sign)
     forced = segment(trial, options=SegmentOptions(compression_sign=-sign, force_sign=-sign))
@@ -92,8 +91,7 @@ def test_a_crosshead_that_goes_home_through_air_leaves_the_push_where_it_was(sig
     travel = np.interp(time_s, [1.0, 9.0, 42.0, 42.8], [-3.0, 5.0, 5.0, -35.0])
     force = 4.0 * np.maximum(travel, 0.0) * (0.7 + 0.3 * np.exp(-np.maximum(time_s - 9.0, 0.0) / 5.0))
     force -= pulls_N * ((time_s > 42.0) & (travel < 0.0) & (travel > -6.0))
-    force += np.random.default_rng(3).normal(0.0, 0.01, time_s.size)
-    found = segment(Trial("liver", time_s, sign * travel, sign * force))
+    found = divided(time_s, sign * travel, sign * (force + normal(0.01, time_s, 3)))
     assert (found.compression_sign, found.force_sign) == (sign, sign)
     assert kinds(found) == ["approach", "approach", "ramp", "hold", "retract", "rest"]
     assert "sign_assumed" not in codes(found)
@@ -105,8 +103,8 @@ def test_a_record_that_begins_deep_in_the_tissue_is_not_read_upside_down(sign):
     time_s = np.arange(0.0, 95.0, 0.01)
     travel = np.interp(time_s, [3.0, 6.0, 46.0, 55.0], [5.0, -4.0, -4.0, 5.0])
     relaxed = 0.7 + 0.3 * np.exp(-np.maximum(time_s - 55.0, 0.0) / 5.0) * (time_s > 46.0)
-    force = 4.0 * np.maximum(travel, 0.0) * relaxed + np.random.default_rng(3).normal(0.0, 0.01, time_s.size)
-    found = segment(Trial("liver", time_s, sign * travel, sign * force))
+    force = 4.0 * np.maximum(travel, 0.0) * relaxed + normal(0.01, time_s, 3)
+    found = divided(time_s, sign * travel, sign * force)
     assert (found.compression_sign, found.force_sign) == (sign, sign)
     assert kinds(found)[-2:] == ["ramp", "hold"]
     assert sign * found.contact.displacement_mm == pytest.approx(0.0, abs=3.0 * found.contact.sd_mm)
@@ -114,14 +112,14 @@ def test_a_record_that_begins_deep_in_the_tissue_is_not_read_upside_down(sign):
 
 
 def test_force_against_the_travel_is_said():
-    trial = trial_of(Log("s", (Move(4.0, 250.0), Hold(2.0))))
-    found = segment(Trial("t", trial.time_s, -trial.displacement_mm, trial.force_N))
+    trial = trial_of(Move(4.0, 250.0), Hold(2.0))
+    found = divided(trial.time_s, -trial.displacement_mm, trial.force_N)
     assert (found.compression_sign, found.force_sign) == (-1, 1)
     assert "tension" in codes(found)
 
 
 def test_a_gap_that_closes_under_the_force_is_no_tension():
-    trial = trial_of(Log("s", (Move(4.0, 250.0), Hold(2.0))))
+    trial = trial_of(Move(4.0, 250.0), Hold(2.0))
     for name, said in (("Corrected Gap", False), ("Position", True)):
         source = Source("a.csv", columns={"displacement": name})
         gap = Trial("t", trial.time_s, 12.0 - trial.displacement_mm, trial.force_N, source=source)
@@ -129,8 +127,7 @@ def test_a_gap_that_closes_under_the_force_is_no_tension():
 
 
 def test_a_standing_record_has_no_phases_and_no_contact():
-    still = Trial("still", np.arange(10.0), np.full(10, 2.0), np.zeros(10))
-    found = segment(still)
+    found = divided(np.arange(10.0), np.full(10, 2.0), np.zeros(10))
     assert found.phases == ()
     assert found.contact is None
     assert {"too_few_samples", "no_hold"} <= codes(found)
@@ -152,7 +149,7 @@ def test_a_long_slow_noisy_recording_keeps_its_phases():
     depth = np.interp(time_s, corners, [0.0, 4.0, 4.0, 2.0, 6.0, 6.0])
     rng = np.random.default_rng(12)
     noisy = depth + 1.5e-3 * rng.standard_normal(n)
-    found = segment(Trial("long", time_s, noisy, 10.0 * depth + 0.2 * rng.standard_normal(n)))
+    found = divided(time_s, noisy, 10.0 * depth + 0.2 * rng.standard_normal(n))
     assert kinds(found) == ["ramp", "hold", "retract", "ramp", "hold"]
     starts = [phase.start_s for phase in found.phases[1:]]
     # lines through 200 samples meet within 1.5e-3 mm sqrt(8/200) / 0.05 mm/s: 6 samples, 2 sd
@@ -181,11 +178,9 @@ def test_a_hold_begins_and_ends_where_it_is_said() -> None:
 
 def test_a_hold_is_made_in_a_ramp_where_there_is_none() -> None:
     time = np.arange(0.0, 20.0, 0.02)
-    depth = time.copy()
-    trial = Trial("slow", time, depth, 2.0 * depth)
-    assert "hold" not in kinds(segment(trial))
-    phases = segment(trial, options=SegmentOptions(hold_from_s=12.0)).phases
-    assert [(phase.kind, phase.start_s) for phase in phases][-1] == ("hold", pytest.approx(12.0))
+    assert "hold" not in kinds(divided(time, time, 2.0 * time))
+    last = divided(time, time, 2.0 * time, hold_from_s=12.0).phases[-1]
+    assert (last.kind, last.start_s) == ("hold", pytest.approx(12.0))
 
 
 @pytest.mark.parametrize("pattern", ["knee*", "*/knee.csv", "knee.csv", "patient-7"])
@@ -247,6 +242,13 @@ def test_anything_is_divided_without_an_error() -> None:
 RAMP_S, HOLD_S, CONTACT_MM, SPEED_MM_S = 6.0, 60.0, 1.0, 1.0
 
 
+def assert_one_ramp(found, *, stop_within_s: float = np.inf, contact_within_mm: float = 0.02) -> None:
+    """Approach, ramp and hold, their stop and contact in place."""
+    assert kinds(found) == ["approach", "ramp", "hold"]
+    assert found.phases[2].start_s == pytest.approx(RAMP_S, abs=stop_within_s)
+    assert found.contact.displacement_mm == pytest.approx(CONTACT_MM, abs=contact_within_mm)
+
+
 def recording(rate_hz: float, *, noise_mm: float = 3e-4) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A ramp of 6 mm at 1 mm/s, contact after 1 mm, and its hold."""
     rng = np.random.default_rng(11)
@@ -262,30 +264,21 @@ def recording(rate_hz: float, *, noise_mm: float = 3e-4) -> tuple[np.ndarray, np
 @pytest.mark.parametrize("noise_mm", [0.0, 3e-4])
 def test_a_displacement_sampled_slower_than_the_force_is_one_ramp(rate_hz, held, noise_mm) -> None:
     time, travel, force = recording(rate_hz, noise_mm=noise_mm)
-    travel = travel[np.arange(travel.size) // held * held]
-    found = segment(Trial("a", time, travel, force))
-    period = held / rate_hz
-    assert [phase.kind for phase in found.phases] == ["approach", "ramp", "hold"]
-    assert found.phases[2].start_s == pytest.approx(RAMP_S, abs=1.5 * period)
+    found, period = divided(time, travel[np.arange(travel.size) // held * held], force), held / rate_hz
     # a held displacement lags by half of its period
-    assert found.contact.displacement_mm == pytest.approx(CONTACT_MM, abs=SPEED_MM_S * period + 0.02)
+    assert_one_ramp(found, stop_within_s=1.5 * period, contact_within_mm=SPEED_MM_S * period + 0.02)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.45])
 def test_stamps_that_jitter_make_no_moves(share: float) -> None:
     time, travel, force = recording(100.0)
-    rng = np.random.default_rng(1)
-    stamps = time + rng.uniform(-share, share, time.size) * 0.01
-    found = segment(Trial("a", stamps, travel, force))
-    assert [phase.kind for phase in found.phases] == ["approach", "ramp", "hold"]
-    assert found.phases[2].start_s == pytest.approx(RAMP_S, abs=0.03)
-    assert found.contact.displacement_mm == pytest.approx(CONTACT_MM, abs=0.02)
+    stamps = time + np.random.default_rng(1).uniform(-share, share, time.size) * 0.01
+    assert_one_ramp(divided(stamps, travel, force), stop_within_s=0.03)
 
 
 def test_neither_a_fast_ramp_beside_a_long_hold_nor_a_bend_is_noise() -> None:
     time = np.arange(0.0, 60.0, 0.01)
-    rng = np.random.default_rng(2)
-    noise = rng.normal(0.0, 3e-4, time.size)
+    noise = normal(3e-4, time, 2)
     fast = np.minimum(20.0 * time, 4.0)
     assert path_noise(time, fast + noise) < 4e-3
     assert _held_step(np.round(fast, 2), _moving(np.round(fast, 2))) == 0.0
@@ -308,7 +301,7 @@ def test_a_ramp_at_nearly_the_speed_of_its_approach_is_found_and_ends_at_its_sto
     depth = np.clip(travel - air_mm - 0.2, 0.0, None)
     kept = 0.7 + 0.3 * np.exp(-np.maximum(time - stop_s, 0.0) / 5.0)
     force = (2.0 * depth + 0.3 * depth**2) * kept
-    found = segment(Trial("log", time, travel + 2e-4 * noise[0], force + 2e-3 * noise[1]))
+    found = divided(time, travel + 2e-4 * noise[0], force + 2e-3 * noise[1])
     ramp, hold = found.of_kind("ramp")[-1], found.of_kind("hold")[0]
     assert found.contact.displacement_mm == pytest.approx(air_mm + 0.2, abs=3.0 * found.contact.sd_mm)
     assert found.contact.sd_mm < 0.05
@@ -320,19 +313,15 @@ def test_a_ramp_at_nearly_the_speed_of_its_approach_is_found_and_ends_at_its_sto
 def test_a_single_sample_far_off_parts_no_ramp(value: float) -> None:
     time, travel, force = recording(100.0)
     travel[300] = value
-    found = segment(Trial("a", time, travel, force))
-    assert [phase.kind for phase in found.phases] == ["approach", "ramp", "hold"]
-    assert found.contact.displacement_mm == pytest.approx(CONTACT_MM, abs=0.02)
+    assert_one_ramp(divided(time, travel, force))
 
 
 @pytest.mark.parametrize("samples", [1, 2, 3, 5])
 def test_a_step_of_few_samples_and_its_hold_are_told(samples: int) -> None:
     time = np.arange(0.0, 12.0, 0.01)
     travel = np.interp(time, [1.0, 1.0 + 0.01 * samples], [-0.5, 4.0])
-    held = np.maximum(time - 1.0, 0.0)
-    force = 2.0 * np.maximum(travel, 0.0) * (0.6 + 0.4 * np.exp(-held / 2.0))
-    force += np.random.default_rng(4).normal(0.0, 0.01, time.size)
-    found = segment(Trial("step", time, travel, force))
-    assert [phase.kind for phase in found.phases] == ["approach", "ramp", "hold"]
+    force = 2.0 * np.maximum(travel, 0.0) * (0.6 + 0.4 * np.exp(-np.maximum(time - 1.0, 0.0) / 2.0))
+    found = divided(time, travel, force + normal(0.01, time, 4))
+    assert kinds(found) == ["approach", "ramp", "hold"]
     assert found.phases[-1].start_s == pytest.approx(1.0, abs=0.011 * samples + 0.011)
     assert abs(found.contact.displacement_mm) < 2.5 * found.contact.sd_mm
