@@ -11,12 +11,14 @@ from tissueid.inference.blocks import Blocks, log_blocks
 from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.engine import Identified, Request
 from tissueid.inference.logs import LogHandle
-from tissueid.inference.specimen import identify_handles
+from tissueid.inference.specimen import FitOptions, FittedSpecimen, fit_with_state, identify_handles
 from tissueid.inference.system import Effects, Point, System
 from tissueid.inference.trials import Adjustment
 from tissueid.inference.window import FittedLog, LogData, fitted_log
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel
+from tissueid.priors import Priors
+from tissueid.segment import segment
 from tissueid.synth import Hold, Log, Move, Recipe, SyntheticLog, as_trials, simulate
 from tissueid.trial import Contact, Phase, Segmentation, Trial
 
@@ -129,12 +131,17 @@ def draw(recipe: Recipe, seed: int) -> list[SyntheticLog]:
     return simulate(recipe, rng=np.random.default_rng(seed))
 
 
-def fitted(
-    handles: Sequence[LogHandle], *, branches: int | None = 1, degree: int | None = 0, **options
-) -> State:
-    """A specimen's fit, its machine known to be without fault."""
-    chosen = FitOptions(branches=branches, stiffness_degree=degree, **options)
-    return fit_with_state("knee", handles, options=chosen, machine=False)
+def divided_handle(trial: Trial) -> LogHandle:
+    """What the pipeline would hand to the fit, as the segmenter divides it."""
+    return handle_for(trial, segment(trial))
+
+
+def state_of(
+    handles: Sequence[LogHandle], *, machine: bool = False, priors: Priors | None = None, tick=None, **options
+) -> FittedSpecimen:
+    """A specimen's fit with one branch of constant K, unless asked; nothing is unknown of the machine."""
+    chosen = FitOptions(**{"branches": 1, "stiffness_degree": 0, **options})
+    return fit_with_state("knee", handles, options=chosen, machine=machine, priors=priors, tick=tick)
 
 
 def by_name(fit) -> dict:

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import draw, handle_for, small_recipe, true_segmentation
+from inference_cases import draw, handle_for, small_recipe, state_of, true_segmentation
 
 import tissueid
 from tissueid.inference.frame_effect import beyond_calibration, machine_flag, tip_handles
-from tissueid.inference.specimen import FitOptions, fit_with_state
+from tissueid.inference.specimen import FitOptions
 from tissueid.manifest import FrameCurve
 from tissueid.model.channels import loading_force
 from tissueid.model.frame import linear_frame
@@ -75,10 +75,9 @@ def test_the_tip_is_where_it_was():
 
 def test_a_corrected_fit_is_that_of_the_tissue():
     _, _, handles = recorded(seed=2)
-    options = FitOptions(branches=1, stiffness_degree=0, static="shared")
 
     def tau(logs):
-        fit = fit_with_state("a", logs, options=options, machine=False).fit
+        fit = state_of(logs, static="shared").fit
         return fit.parameter("relaxation_time_s"), fit.parameter("viscosity_N_s_per_mm")
 
     rigid, eta = tau(tip_handles(handles, linear_frame(STIFFNESS)))

@@ -6,16 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import draw, handles_for, identified, small_recipe
+from inference_cases import draw, handles_for, identified, small_recipe, state_of
 from scipy.stats import binomtest, t
 
 from tissueid.documents import plain
 from tissueid.documents.identification import NoiseFit
 from tissueid.inference import residual_blocks
 from tissueid.inference.optimum import covariance_of
-from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.inference.target import SpecimenTarget
-from tissueid.synth import Branch, Hold, Log, Move, recipe, simulate
+from tissueid.synth import Branch, Hold, Log, Move, recipe
 
 #: Specimens a rate is counted on.
 MANY = 300
@@ -33,9 +32,7 @@ NOISES = {
 
 def alarm_for(plan, seed, **options):
     """Alarm of a fit with one branch."""
-    chosen = FitOptions(**{"branches": 1, "stiffness_degree": 0, "static": "partial", **options})
-    handles = handles_for(simulate(plan, rng=np.random.default_rng(seed)))
-    found = fit_with_state("s", handles, options=chosen, machine=False)
+    found = state_of(handles_for(draw(plan, seed)), **{"static": "partial", **options})
     return residual_blocks.misfit_alarm(found.told.blocks, found.noise), found
 
 

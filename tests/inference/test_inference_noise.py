@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from inference_cases import draw, handles_for, identified, small_recipe
+from inference_cases import draw, handles_for, identified, small_recipe, state_of
 from scipy.signal import lfilter
 
 from tissueid import FitOptions, IdentifyOptions, identify, read_trials
@@ -16,7 +16,6 @@ from tissueid.inference import evidence
 from tissueid.inference.evidence import LogEvidence, _quiet
 from tissueid.inference.noise import Memory, whitener
 from tissueid.inference.optimum import Noise
-from tissueid.inference.specimen import fit_with_state
 from tissueid.inference.window import fitted_log
 from tissueid.segment import segment
 from tissueid.signal_noise import white_noise_sd
@@ -249,8 +248,7 @@ def test_true_noise_is_refuted_in_at_most_three_per_cent(phi: float, scatter: fl
     refuted = 0
     for seed in range(SPECIMENS):
         handles = handles_for(draw(recipe, 7_000 + seed))[-logs:]
-        options = FitOptions(branches=1, stiffness_degree=0)
-        refuted += fit_with_state("a", handles, options=options).identified.discrepant
+        refuted += state_of(handles, machine=True).identified.discrepant
     sys.stdout.write(f"\nphi {phi}, scatter {scatter}, {logs} logs: {refuted} of {SPECIMENS} refuted\n")
     assert refuted <= 0.03 * SPECIMENS
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import draw, handles_for, small_recipe
+from inference_cases import draw, handles_for, small_recipe, state_of
 from scipy.optimize import LinearConstraint, minimize
 
 from tissueid.inference.channel_law import kelvin_voigt_law
@@ -17,7 +17,6 @@ from tissueid.inference.posterior import (
     with_posterior,
     without_faults,
 )
-from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.inference.target import SpecimenTarget
 from tissueid.model.base import scaled_theta
 from tissueid.priors import CalibrationPrior, Priors
@@ -29,7 +28,6 @@ TRUTH = {
 }  # fmt: skip
 ONE = small_recipe(branches=(Branch((30.0,), 0.2),), logs=(Log("hold", (Move(4.0, 240.0), Hold(5.0))),))
 SEVERAL = small_recipe(branches=(Branch((30.0,), 0.2),))
-FIT = FitOptions(branches=1, stiffness_degree=0)
 #: A machine that was calibrated: what remains of its frame, of its skew and of its filter.
 CALIBRATED = Priors(
     calibration={
@@ -40,15 +38,14 @@ CALIBRATED = Priors(
 )
 
 
-def fitted(recipe=ONE, seed=7, machine=True, **options):
-    chosen = replace(FIT, **options)
+def fitted(recipe=ONE, seed=7, machine=True, priors=CALIBRATED, **options):
     handles = handles_for(draw(recipe, seed), sd_mm=0.01)
-    return fit_with_state("knee", handles, options=chosen, priors=CALIBRATED, machine=machine)
+    return state_of(handles, priors=priors, machine=machine, **options)
 
 
-def sampled(state, *, instrument=True, seed=3, draws=600):
-    options = PosteriorOptions(draws=draws, seed=seed)
-    return with_posterior(state, priors=CALIBRATED, options=options, instrument=instrument)
+def sampled(state, *, instrument=True, seed=3, priors=CALIBRATED):
+    options = PosteriorOptions(draws=600, seed=seed)
+    return with_posterior(state, priors=priors, options=options, instrument=instrument)
 
 
 @pytest.fixture(scope="module")
@@ -210,14 +207,9 @@ def test_seeds_agree_on_a_generalised_posterior_at_its_walls():
     # two branches in a recording of three: the law lacks one, and a K that grows from nothing is on its wall
     branches = (Branch((0.0, 12.0), 0.2), Branch((0.0, 6.0), 2.5), Branch((8.0,), 0.02))
     recipe = replace(ONE, branches=branches, sigma_N=0.05)
-    handles = handles_for(draw(recipe, 7), sd_mm=0.01)
-    options = replace(FIT, branches=2, stiffness_degree=1)
-    state = fit_with_state("knee", handles, options=options, priors=Priors(), machine=True)
+    state = fitted(recipe, priors=Priors(), branches=2, stiffness_degree=1)
     assert state.identified.discrepant
-    found = [
-        with_posterior(state, priors=Priors(), options=PosteriorOptions(draws=600, seed=seed))
-        for seed in (3, 4)
-    ]
+    found = [sampled(state, seed=seed, priors=Priors()) for seed in (3, 4)]
     assert found[0].posterior.sampler.detail["density"] == "generalised"
     spread = found[0].posterior.parameters
     assert any(own.ci95[0] == 0.0 for own in spread.values())

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import by_name, draw, handle_for, handles_for, identified, small_recipe
+from inference_cases import by_name, draw, handle_for, handles_for, identified, small_recipe, state_of
 
 from tissueid.inference.estimates import LEVEL_95, MAX_WIDTH, estimate_tissue, profile
-from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.synth import Branch, Hold, Log, Move
@@ -18,10 +17,8 @@ TRUE = Branch((30.0,), 0.2)
 POOLINGS = ("partial", "shared", "scaled")
 
 
-def fit(recipe_, seed=0, *, branches=1, degree=0, static="partial", sd_mm=1e-4, tick=None):
-    handles = handles_for(draw(recipe_, seed), sd_mm=sd_mm)
-    options = FitOptions(branches=branches, stiffness_degree=degree, static=static)
-    return fit_with_state("knee", handles, options=options, tick=tick).fit
+def fit(recipe, seed=0, *, static="partial", tick=None):
+    return state_of(handles_for(draw(recipe, seed)), machine=True, static=static, tick=tick).fit
 
 
 @pytest.mark.parametrize("static", POOLINGS)
@@ -49,8 +46,7 @@ def test_tissue_is_identified_and_says_how(static):
 
 def test_residuals_are_those_of_the_reported_tissue():
     logs = draw(small_recipe(branches=(TRUE,)), 1)
-    options = FitOptions(branches=1, stiffness_degree=0, static="shared")
-    found = fit_with_state("knee", handles_for(logs), options=options, machine=False).fit
+    found = state_of(handles_for(logs), static="shared").fit
     model = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=found.depth_mm)
     squares = 0.0
     for log, trial in zip(logs, found.trials, strict=True):
@@ -70,8 +66,7 @@ def test_shared_logs_keep_a_contact_each():
     late = replace(contact, displacement_mm=contact.displacement_mm + 0.03)
     trial = handles[0].load()
     moved = handle_for(trial, replace(handles[0].segmentation, contact=late))
-    options = FitOptions(branches=1, stiffness_degree=0, static="shared")
-    found = fit_with_state("knee", [moved, *handles[1:]], options=options).fit
+    found = state_of([moved, *handles[1:]], machine=True, static="shared").fit
     assert found.trials[0].contact_offset_mm == pytest.approx(-0.03, abs=0.004)
     assert max(abs(one.contact_offset_mm) for one in found.trials[1:]) <= 0.004
     tau = by_name(found)["relaxation_time_s"]
@@ -111,13 +106,12 @@ GROWING = Branch((30.0, 6.0), 0.2)
 SEEDS = 25
 
 
-def estimate(recipe, seed, pooling, *, branches=1, degree=0, offset_sd_mm=1e-4):
-    handles = handles_for(draw(recipe, seed), sd_mm=offset_sd_mm)
-    found = identified(handles, branches=(branches,), degrees=(degree,), pooling=pooling, noise="white")
-    return estimate_tissue(found)
+def estimate(recipe, seed, pooling, *, branches=1, degree=0):
+    asked = {"branches": (branches,), "degrees": (degree,), "pooling": pooling, "noise": "white"}
+    return estimate_tissue(identified(handles_for(draw(recipe, seed)), **asked))
 
 
-@pytest.mark.parametrize("pooling", ["shared", "partial", "scaled"])
+@pytest.mark.parametrize("pooling", POOLINGS)
 def test_values_come_in_natural_units(pooling):
     recipe = small_recipe(branches=(GROWING,), sigma_N=0.01)
     found = by_name(estimate(recipe, 0, pooling, degree=1))

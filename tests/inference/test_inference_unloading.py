@@ -7,13 +7,12 @@ from itertools import cycle
 
 import numpy as np
 import pytest
-from inference_cases import draw, handle_for
+from inference_cases import divided_handle, draw, state_of
 
 from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.rounds import MAX_ROUNDS, LawSurface, follow_surfaces
-from tissueid.inference.specimen import FitOptions, fit_with_state
+from tissueid.inference.specimen import FitOptions
 from tissueid.pipeline import IdentifyOptions, identify
-from tissueid.segment import segment
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials
 
 STIFFNESS, TAU_S = 30.0, 0.2
@@ -40,11 +39,9 @@ SEVERAL = replace(
 
 def fitted(plan, seed, *, unloading=True, **options):
     # the surface is followed under the specimen's static law, not under each log's own
-    chosen = {"branches": 1, "stiffness_degree": 0, "static": "partial", **options}
-    handles = [handle_for(trial, segment(trial)) for trial in as_trials(draw(plan, seed))]
+    chosen = {"static": "partial", "unloading": unloading, **options}
     # errors are those of noise: the machine, which has none here, is held
-    wanted = FitOptions(unloading=unloading, **chosen)
-    return fit_with_state("synthetic", handles, options=wanted, machine=False).fit
+    return state_of([divided_handle(trial) for trial in as_trials(draw(plan, seed))], **chosen).fit
 
 
 def distances(fit, tau, eta):
@@ -77,13 +74,8 @@ def test_cycles_alone_determine_what_their_first_ramp_does_not():
 
 
 def test_an_order_that_changes_with_every_surface_ends_unsettled():
-    handles = [handle_for(trial, segment(trial)) for trial in as_trials(draw(RETRACT, 4))]
-    fits = [
-        fit_with_state(
-            "synthetic", handles, options=FitOptions(branches=n, stiffness_degree=0), machine=False
-        )
-        for n in (1, 2)
-    ]
+    handles = [divided_handle(trial) for trial in as_trials(draw(RETRACT, 4))]
+    fits = [state_of(handles, branches=n) for n in (1, 2)]
     orders = cycle((one.identified, list(one.handles)) for one in fits)
     followed = follow_surfaces(*next(orders), lambda _: next(orders), lambda _: None)
     assert (followed.rounds, followed.settled) == (MAX_ROUNDS, False)
@@ -106,8 +98,7 @@ def test_the_default_fit_does_not_know_of_unloading():
     turn = int(np.searchsorted(trial.time_s, 4.0 - 1e-9)) + 1
     cut = {name: getattr(trial, name)[:turn] for name in ("time_s", "displacement_mm", "force_N")}
     cut = replace(trial, **cut)
-    options = FitOptions(branches=1, stiffness_degree=0)
-    alone = fit_with_state("synthetic", [handle_for(cut, segment(cut))], options=options, machine=False).fit
+    alone = state_of([divided_handle(cut)]).fit
     # the contact starts from the whole ramp in one
     assert (np.abs(whole.theta - alone.theta) < 0.1 * np.sqrt(np.diag(alone.covariance))).all()
     assert whole.unloading is None
@@ -123,9 +114,7 @@ def test_unloading_of_the_law_is_predicted_and_that_of_another_is_missed():
     # the same tissue, and one that gives a third less on the way back
     for share in (1.0, 2.0 / 3.0):
         changed = replace(trial, force_N=np.where(turned, share * trial.force_N, trial.force_N))
-        options = FitOptions(branches=1, stiffness_degree=0)
-        handles = [handle_for(changed, segment(changed))]
-        fits.append(fit_with_state("synthetic", handles, options=options, machine=False).fit)
+        fits.append(state_of([divided_handle(changed)]).fit)
     same, less = (fit.unloading_predicted for fit in fits)
     assert same.logs == less.logs == 1
     assert 30 <= same.samples <= turned.sum()
@@ -142,8 +131,7 @@ def test_unloading_that_moves_the_relaxation_time_is_said():
     stiffer = replace(trial, force_N=np.where(late, 0.6 * trial.force_N, trial.force_N))
     said = []
     for one in (trial, stiffer):
-        wanted = FitOptions(branches=1, stiffness_degree=0, unloading=True, static="partial")
-        fit = fit_with_state("synthetic", [handle_for(one, segment(one))], options=wanted, machine=False).fit
+        fit = state_of([divided_handle(one)], unloading=True, static="partial").fit
         assert fit.unloading_predicted is None
         said.append([flag for flag in fit.flags if flag.code == "unloading_disagrees"])
     assert said[0] == []

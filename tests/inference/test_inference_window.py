@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from inference_cases import blocks_from, handle_for, log_data, point_of, ramp_hold, system_of
+from inference_cases import blocks_from, divided_handle, log_data, point_of, ramp_hold, system_of
 
 from tissueid.inference.blocks import SAMPLED, _digits, log_blocks
 from tissueid.inference.channel_law import kelvin_voigt_law
@@ -368,7 +368,7 @@ def test_of_loadings_without_a_test_the_first_is_fitted(back_mm) -> None:
 
 def test_forces_know_how_a_surface_moves_with_the_law() -> None:
     trial = let_go(20.0, back_mm=1.4)
-    handle = handle_for(trial, segment(trial))
+    handle = divided_handle(trial)
     law = kelvin_voigt_law(1, 0, 3.0)
     times, linear = np.log([2.0]), np.array([1.2, 0.0, 0.0, 1.5])
 

@@ -178,6 +178,7 @@ def test_travel_that_is_read_with_noise_bends_no_law():
     read = replace(trial, displacement_mm=trial.displacement_mm + noise)
     found = rows(ti.fit([read]).sample())
     # K was 0 at half the depth, and a1 twice what it is
-    for name, truth in (("static_1_N_per_mm", 0.3), ("stiffness_0_N_per_mm", 0.5), ("relaxation_time_s", 3.0)):
+    truths = {"static_1_N_per_mm": 0.3, "stiffness_0_N_per_mm": 0.5, "relaxation_time_s": 3.0}
+    for name, truth in truths.items():
         low, high = found[name]["ci95_total"]
         assert low - 0.1 * truth < truth < high + 0.1 * truth
