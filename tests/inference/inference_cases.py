@@ -105,6 +105,11 @@ def handles_for(logs: Sequence[SyntheticLog], *, sd_mm: float = KNOWN_CONTACT_MM
     return [handle_for(trial, true_segmentation(trial, sd_mm=sd_mm)) for trial in as_trials(list(logs))]
 
 
+def handles_of(recipe: Recipe, seed: int, *, sd_mm: float = KNOWN_CONTACT_MM) -> list[LogHandle]:
+    """The same, of recordings that are drawn."""
+    return handles_for(draw(recipe, seed), sd_mm=sd_mm)
+
+
 def identified(
     handles: Sequence[LogHandle],
     *,

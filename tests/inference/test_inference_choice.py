@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from inference_cases import draw, handles_for, identified, small_recipe
+from inference_cases import draw, handles_for, handles_of, identified, small_recipe
 
 from tissueid.flags import Flag
 from tissueid.inference import choice
@@ -30,7 +30,7 @@ LOGS = tuple(
 
 def chosen(tissue, seed, **asked):
     recipe = small_recipe(branches=tissue, logs=LOGS, sigma_N=0.1)
-    return identified(handles_for(draw(recipe, seed)), pooling="partial", **asked)
+    return identified(handles_of(recipe, seed), pooling="partial", **asked)
 
 
 @pytest.mark.system
@@ -174,7 +174,7 @@ def test_what_is_left_out_is_a_speed_a_depth_a_log_or_a_stretch(rows, kind, of):
 def test_the_error_of_what_was_left_out_is_that_of_fits_without_it():
     """One step from the optimum, against fits to the other logs."""
     recipe = small_recipe(branches=ONE, logs=LOGS, sigma_N=0.3)
-    handles = handles_for(draw(recipe, 4))
+    handles = handles_of(recipe, 4)
     ours = identified(handles, pooling="shared", noise="white")
     facts = [handle.facts for handle in handles]
     groups = choice.groups_of(ours.system, facts)
@@ -192,7 +192,7 @@ def test_the_error_of_what_was_left_out_is_that_of_fits_without_it():
 
 
 def test_a_branch_faster_than_the_sampling_or_below_the_noise_is_not_resolved():
-    ours = identified(handles_for(draw(small_recipe(branches=TWO, logs=LOGS), 1)), branches=(2,))
+    ours = identified(handles_of(small_recipe(branches=TWO, logs=LOGS), 1), branches=(2,))
     one = choice.Tried(2, 0, ours.optimum, ours.system, np.ones(3))
     assert choice.resolved(one, 0.01)
     assert not choice.resolved(one, 0.1)
@@ -229,7 +229,7 @@ def quasi_linear(trials):
 
 @pytest.mark.system
 def test_a_quasi_linear_tissue_is_told_and_the_papers_is_not():
-    paper = identified(handles_for(draw(PAPER, 1)), pooling="partial", branches=(1, 2), degrees=(0, 1))
+    paper = identified(handles_of(PAPER, 1), pooling="partial", branches=(1, 2), degrees=(0, 1))
     assert not any(one.better or one.disagrees for one in paper.rivals)
     assert rival_flags(paper) == ()
     other = identified(
@@ -280,8 +280,6 @@ def test_a_third_time_is_found_beside_two_that_lie_between_nodes(times, rate_Hz)
     three = tuple(Branch((stiffness,), tau) for stiffness, tau in zip((20.0, 10.0, 10.0), times, strict=True))
     hold = (Log("hold", (Move(8.0, 240.0), Hold(300.0))),)
     plan = small_recipe(branches=three, logs=hold, rate_Hz=rate_Hz, sigma_N=0.05)
-    ours = identified(
-        handles_for(draw(plan, 1), sd_mm=0.02), branches=(1, 2, 3), degrees=(0, 1), machine=True
-    )
+    ours = identified(handles_of(plan, 1, sd_mm=0.02), branches=(1, 2, 3), degrees=(0, 1), machine=True)
     assert ours.law.branches == 3
     assert np.exp(np.sort(ours.optimum.point.log_times)) == pytest.approx(times, rel=0.01)

@@ -41,13 +41,11 @@ CORRELATED = {"rate_Hz": 200.0, "sigma_N": 0.2, "ar1_sigma_N": 0.3, "ar1_phi": 0
 
 def recorded(moves, *, seed=1, speeds=(1.0,), **recipe):
     """Trials of a program at multiples of its speed."""
-    program = tuple(
-        Log(
-            f"at{number}",
-            tuple(Move(m.to_mm, m.speed_mm_min * factor) if isinstance(m, Move) else m for m in moves),
-        )
-        for number, factor in enumerate(speeds)
-    )
+
+    def faster(move, factor):
+        return replace(move, speed_mm_min=move.speed_mm_min * factor) if isinstance(move, Move) else move
+
+    program = tuple(Log(f"at{k}", tuple(faster(one, by) for one in moves)) for k, by in enumerate(speeds))
     plan = Recipe("law", program, **{"rate_Hz": 100.0, "sigma_N": 0.2, "contact_offset_mm": 1.0, **recipe})
     rng = np.random.default_rng(seed)
     return as_trials(impact_logs(plan, stiffness=4.0, exponent=1.5, restitution=0.7, rng=rng))

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import draw, handles_for, identified, small_recipe, state_of
+from inference_cases import handles_of, identified, small_recipe, state_of
 from scipy.stats import binomtest, t
 
 from tissueid.documents import plain
@@ -32,7 +32,7 @@ NOISES = {
 
 def alarm_for(plan, seed, **options):
     """Alarm of a fit with one branch."""
-    found = state_of(handles_for(draw(plan, seed)), **{"static": "partial", **options})
+    found = state_of(handles_of(plan, seed), **{"static": "partial", **options})
     return residual_blocks.misfit_alarm(found.told.blocks, found.noise), found
 
 
@@ -191,9 +191,7 @@ TWELVE = tuple(
 
 
 def target(seed=1, logs=TWELVE, pooling="shared", **noise):
-    ours = identified(
-        handles_for(draw(small_recipe(logs=logs, **noise), seed)), noise="white", pooling=pooling
-    )
+    ours = identified(handles_of(small_recipe(logs=logs, **noise), seed), noise="white", pooling=pooling)
     return SpecimenTarget(ours, machine=False)
 
 

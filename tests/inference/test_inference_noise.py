@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from inference_cases import draw, handles_for, identified, small_recipe, state_of
+from inference_cases import handles_of, identified, small_recipe, state_of
 from scipy.signal import lfilter
 
 from tissueid import FitOptions, IdentifyOptions, identify, read_trials
@@ -180,7 +180,7 @@ LOGS = tuple(Log(f"hold-{v:.0f}", (Move(4.0, v), Hold(8.0))) for v in (60.0, 240
 
 
 def scanned(model="auto", seed=1, logs=LOGS, **noise):
-    ours = identified(handles_for(draw(small_recipe(logs=logs, **noise), seed)), noise="white")
+    ours = identified(handles_of(small_recipe(logs=logs, **noise), seed), noise="white")
     parts = ours.system.derivatives(ours.optimum.point, machine=False)
     return evidence.scan_memory(
         ours.system, ours.optimum.point, parts, ours.optimum.prior,
@@ -192,7 +192,7 @@ def scanned(model="auto", seed=1, logs=LOGS, **noise):
 def test_noise_stays_where_priors_pull_logs_far_from_where_they_are(model):
     """A step takes more off the priors there than the residuals have; what is left of these is the noise."""
     recipe = small_recipe(logs=LOGS, sigma_N=0.5, cv_both=0.05)
-    ours = identified(handles_for(draw(recipe, 1)), noise="white", pooling="scaled")
+    ours = identified(handles_of(recipe, 1), noise="white", pooling="scaled")
     best = ours.optimum
     own = best.point.own.copy()
     own[:, 0] += 0.2
@@ -247,7 +247,7 @@ def test_true_noise_is_refuted_in_at_most_three_per_cent(phi: float, scatter: fl
     recipe = small_recipe(**size, cv_both=scatter) if scatter else small_recipe(**size)
     refuted = 0
     for seed in range(SPECIMENS):
-        handles = handles_for(draw(recipe, 7_000 + seed))[-logs:]
+        handles = handles_of(recipe, 7_000 + seed)[-logs:]
         refuted += state_of(handles, machine=True).identified.discrepant
     sys.stdout.write(f"\nphi {phi}, scatter {scatter}, {logs} logs: {refuted} of {SPECIMENS} refuted\n")
     assert refuted <= 0.03 * SPECIMENS

@@ -6,16 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from inference_cases import (
-    draw,
-    handles_for,
-    identified,
-    log_data,
-    point_of,
-    ramp_hold,
-    small_recipe,
-    system_of,
-)
+from inference_cases import handles_of, identified, log_data, point_of, ramp_hold, small_recipe, system_of
 from scipy.interpolate import BPoly
 from scipy.linalg import cho_solve, null_space
 from scipy.optimize import minimize
@@ -137,7 +128,7 @@ def test_an_optimum_on_the_cone_is_passive_and_no_better_point_is():
 def test_a_frame_of_which_little_is_known_is_found_along_its_bent_valley():
     """Frame and polynomials trade places over many standard errors before one of them fits worse."""
     plan = small_recipe(rate_Hz=100.0, sigma_N=0.02, logs=(Log("one", (Move(8.0, 240.0), Hold(20.0))),))
-    ours = identified(handles_for(draw(plan, 1), sd_mm=0.02), machine=True)
+    ours = identified(handles_of(plan, 1, sd_mm=0.02), machine=True)
     found, start = ours.optimum, ours.optimum.point.shared
     start[ours.law.times] += 1e-3
     begun = ours.optimum.point.moved(start, ours.optimum.point.own)
@@ -161,7 +152,7 @@ def test_what_is_held_stays():
 
 def test_logs_own_parameters_are_eliminated_exactly():
     """The Schur complement against the whole problem's inverse."""
-    ours = identified(handles_for(draw(small_recipe(cv_both=0.05), 1)), pooling="scaled")
+    ours = identified(handles_of(small_recipe(cv_both=0.05), 1), pooling="scaled")
     normal, prior = ours.optimum.normal, ours.optimum.prior
     s, (logs, q) = normal.shared.shape[1], ours.optimum.point.own.shape
     whole = np.zeros((s + logs * q, s + logs * q))

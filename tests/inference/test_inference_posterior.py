@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import draw, handles_for, small_recipe, state_of
+from inference_cases import handles_of, small_recipe, state_of
 from scipy.optimize import LinearConstraint, minimize
 
 from tissueid.inference.channel_law import kelvin_voigt_law
@@ -39,7 +39,7 @@ CALIBRATED = Priors(
 
 
 def fitted(recipe=ONE, seed=7, machine=True, priors=CALIBRATED, **options):
-    handles = handles_for(draw(recipe, seed), sd_mm=0.01)
+    handles = handles_of(recipe, seed, sd_mm=0.01)
     return state_of(handles, priors=priors, machine=machine, **options)
 
 

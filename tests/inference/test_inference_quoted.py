@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import draw, handles_for, small_recipe, state_of
+from inference_cases import handles_of, small_recipe, state_of
 
 from tissueid.flags import warning_line
 from tissueid.inference.quoted import depth_test
@@ -24,7 +24,7 @@ THETA = MODEL.join(np.array([20.0, -1.2, 0.35]), np.array([[30.0]]), np.array([0
 def fitted(seed=0, recipe=None, **options):
     plan = recipe or small_recipe(branches=(TRUE,))
     # the machine is the truth's: errors of these numbers are those of the noise
-    return state_of(handles_for(draw(plan, seed)), **{"static": "shared", **options}).fit
+    return state_of(handles_of(plan, seed), **{"static": "shared", **options}).fit
 
 
 def find(numbers, name, **at):
@@ -128,7 +128,7 @@ def test_without_a_hold_the_ramp_s_relaxation_is_not_invented():
 
 
 def test_a_law_without_force_at_a_hold_has_no_fractions_there():
-    state = state_of(handles_for(draw(small_recipe(branches=(TRUE,)), 0)))
+    state = state_of(handles_of(small_recipe(branches=(TRUE,)), 0))
     nothing = np.zeros_like(state.tissue.theta)
     nothing[-1] = 0.2
     quoted, _ = state.quoted(replace(state.tissue, theta=nothing))

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from arviz_stats.base.array import array_stats
-from inference_cases import draw, handles_for, identified, small_recipe
+from inference_cases import handles_of, identified, small_recipe
 
 from tissueid.inference import sampling
 from tissueid.inference.diagnostics import WORST_R_HAT, diagnose
@@ -53,11 +53,7 @@ def correlated() -> Density:
 
 def banana() -> Density:
     """Standard normal first coordinate; the second about its square less one, within 0.4."""
-
-    def log_density(z):
-        return -0.5 * z[:, 0] ** 2 - 0.5 * ((z[:, 1] - z[:, 0] ** 2 + 1.0) / 0.4) ** 2
-
-    return Density(2, log_density)
+    return Density(2, lambda z: -0.5 * z[:, 0] ** 2 - 0.5 * ((z[:, 1] - z[:, 0] ** 2 + 1.0) / 0.4) ** 2)
 
 
 DRAWS = 1_500
@@ -85,25 +81,20 @@ def test_a_normal_has_its_moments_within_their_errors():
 
 def test_a_banana_has_its_moments():
     """Far tails are reached late: spreads may lack a twentieth, where the normal at the top lacks a half."""
-    draws = np.concatenate(
-        [sample(banana(), draws=DRAWS, seed=seed).chain.reshape(-1, 2) for seed in range(6)]
-    )
-    assert draws[:, 0].mean() == pytest.approx(0.0, abs=0.08)
-    assert draws[:, 0].std() == pytest.approx(1.0, abs=0.1)
-    assert draws[:, 1].mean() == pytest.approx(0.0, abs=0.2)
+    x, y = np.vstack([sample(banana(), draws=DRAWS, seed=seed).chain.reshape(-1, 2) for seed in range(6)]).T
+    assert x.mean() == pytest.approx(0.0, abs=0.08)
+    assert x.std() == pytest.approx(1.0, abs=0.1)
+    assert y.mean() == pytest.approx(0.0, abs=0.2)
     # the skewness of a chi square: quantiles of y = x^2 - 1 + 0.4 e, from a million draws
     rng = np.random.default_rng(0)
-    y = rng.standard_normal(1_000_000) ** 2 - 1.0 + 0.4 * rng.standard_normal(1_000_000)
-    np.testing.assert_allclose(
-        np.quantile(draws[:, 1], [0.1, 0.5, 0.9]), np.quantile(y, [0.1, 0.5, 0.9]), atol=0.25
-    )
+    many = rng.standard_normal(1_000_000) ** 2 - 1.0 + 0.4 * rng.standard_normal(1_000_000)
+    found, expected = (np.quantile(one, [0.1, 0.5, 0.9]) for one in (y, many))
+    np.testing.assert_allclose(found, expected, atol=0.25)
 
 
 def test_a_seed_repeats_its_draws_another_does_not_and_progress_is_told():
     said = []
-    first = sample(
-        correlated(), draws=300, seed=3, progress=lambda points, share: said.append((points, share))
-    )
+    first = sample(correlated(), draws=300, seed=3, progress=lambda *told: said.append(told))
     same, other = (sample(correlated(), draws=300, seed=seed) for seed in (3, 4))
     np.testing.assert_array_equal(first.chain, same.chain)
     assert not np.array_equal(first.chain, other.chain)
@@ -135,11 +126,9 @@ def test_a_killed_run_goes_on_to_the_same_draws(tmp_path, monkeypatch):
 
 
 def test_a_density_that_no_proposal_meets_is_refused():
-    def spike(z):
-        return np.where(np.abs(z[:, 0] - 3.0) < 1e-6, 0.0, -np.inf)
-
+    spike = Density(2, lambda z: np.where(np.abs(z[:, 0] - 3.0) < 1e-6, 0.0, -np.inf))
     with pytest.raises(ArithmeticError, match="none of 12000 proposals"):
-        sample(Density(2, spike), draws=300, seed=1)
+        sample(spike, draws=300, seed=1)
 
 
 def test_draws_of_a_thin_ridge_stay_on_it_and_are_no_convergence():
@@ -148,10 +137,8 @@ def test_draws_of_a_thin_ridge_stay_on_it_and_are_no_convergence():
     def off(z):
         return (z[:, 1::2] - z[:, ::2] ** 2) / 0.01
 
-    def ridge(z):
-        return -0.5 * (z[:, ::2] ** 2).sum(axis=1) - 0.5 * (off(z) ** 2).sum(axis=1)
-
-    found = sample(Density(6, ridge), draws=500, seed=1)
+    ridge = Density(6, lambda z: -0.5 * (z[:, ::2] ** 2).sum(axis=1) - 0.5 * (off(z) ** 2).sum(axis=1))
+    found = sample(ridge, draws=500, seed=1)
     assert off(found.chain.reshape(-1, 6)).std() == pytest.approx(1.0, abs=0.05)
     assert not found.converged
     assert "walkers apart by R-hat" in found.detail["reason"]
@@ -174,9 +161,8 @@ def test_a_normal_is_walked_by_its_own_draws_and_its_medians_hardly_depend_on_th
     chains = [sample(target, draws=2_000, seed=seed) for seed in (0, 1)]
     # nearly every draw is a new one: the least coordinate of 3,840 is worth most of them
     assert all(one.acceptance > 0.75 for one in chains)
-    assert all(
-        one.detail["effective_draws"] > (2_000 if is_normal else 0.5 * WALKERS * STEPS) for one in chains
-    )
+    enough = 2_000 if is_normal else 0.5 * WALKERS * STEPS
+    assert all(one.detail["effective_draws"] > enough for one in chains)
     apart = np.subtract(*(np.median(one.chain.reshape(-1, 4), axis=0) for one in chains))
     assert not is_normal or np.abs(apart).max() <= 0.015
 
@@ -459,9 +445,8 @@ def test_independent_draws_in_one_chain_are_diagnosed() -> None:
 
 
 def test_draws_that_never_differ_are_known_exactly_and_chains_that_never_moved_not_at_all() -> None:
-    found = diagnose(
-        {"same": np.full((4, 100), 2.5), "apart": np.repeat(np.arange(6.0)[:, None], 50, axis=1)}
-    )
+    apart = np.repeat(np.arange(6.0)[:, None], 50, axis=1)
+    found = diagnose({"same": np.full((4, 100), 2.5), "apart": apart})
     assert (found["same"].ess_bulk, found["same"].ess_tail, found["same"].r_hat) == (400.0, 400.0, 1.0)
     assert found["apart"].r_hat == WORST_R_HAT
     assert found["apart"].ess_bulk < 15
@@ -479,7 +464,7 @@ def test_draws_that_say_nothing_are_refused_by_name() -> None:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_gains_that_agree_to_the_noise_are_drawn_by_good_proposals(seed):
     """Two holds alike to 1e-4, behind an unknown machine: the scatter may be anything below a half."""
-    alike = handles_for(draw(small_recipe(sigma_N=0.02, logs=small_recipe().logs[-2:]), 2), sd_mm=0.02)
+    alike = handles_of(small_recipe(sigma_N=0.02, logs=small_recipe().logs[-2:]), 2, sd_mm=0.02)
     target = SpecimenTarget(identified(alike, pooling="scaled", noise="white", machine=True))
     drawn = sample(target, draws=2_000, seed=seed)
     assert drawn.converged

@@ -7,7 +7,7 @@ from dataclasses import replace
 import lmfit
 import numpy as np
 import pytest
-from inference_cases import draw, handle_for, handles_for, identified, small_recipe
+from inference_cases import handle_for, handles_of, identified, small_recipe
 
 from tissueid import FitOptions, IdentifyOptions, identify
 from tissueid.inference.estimates import estimate_tissue
@@ -84,7 +84,7 @@ def test_optimum_and_standard_errors_are_those_of_lmfit_on_raw_samples(degree):
 @pytest.mark.parametrize("pooling", ["shared", "partial", "scaled"])
 def test_both_optimisers_end_at_the_same_optimum(pooling):
     recipe = small_recipe(cv_both=0.1 if pooling != "shared" else 0.0)
-    ours = identified(handles_for(draw(recipe, 2)), pooling=pooling)
+    ours = identified(handles_of(recipe, 2), pooling=pooling)
     said, _ = both_optimisers(ours)
     assert said["agree"] is True
     assert said["lm_converged"]
@@ -103,7 +103,7 @@ def missed_by(ours, away):
 
 
 def test_an_optimum_that_was_missed_is_told_and_found():
-    ours = identified(handles_for(draw(small_recipe(), 2)))
+    ours = identified(handles_of(small_recipe(), 2))
     away = 3.0 * np.sqrt(ours.optimum.covariance[0, 0])
     there = missed_by(ours, away)
     said, _ = both_optimisers(there)
@@ -116,7 +116,7 @@ def test_an_optimum_that_was_missed_is_told_and_found():
 
 
 def test_a_time_that_is_hardly_known_is_no_agreement():
-    ours = identified(handles_for(draw(small_recipe(), 2)))
+    ours = identified(handles_of(small_recipe(), 2))
     there = missed_by(ours, 3.0 * np.sqrt(ours.optimum.covariance[0, 0]))
     vague = replace(there, optimum=replace(there.optimum, covariance=1e6 * there.optimum.covariance))
     said, _ = both_optimisers(vague)
@@ -156,7 +156,7 @@ BROAD = tuple(Branch((8.0,), tau) for tau in (0.1, 0.5, 2.5, 12.0))
 
 
 def window(tissue, logs=LOGS, seed=1, **asked):
-    handles = handles_for(draw(small_recipe(branches=tissue, logs=logs, sigma_N=0.05), seed))
+    handles = handles_of(small_recipe(branches=tissue, logs=logs, sigma_N=0.05), seed)
     ours = identified(handles, noise="white", **asked)
     said = []
     return relaxation_window(handles, ours, said.append), said

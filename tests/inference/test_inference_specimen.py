@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import by_name, draw, handle_for, handles_for, identified, small_recipe, state_of
+from inference_cases import by_name, draw, handle_for, handles_of, identified, small_recipe, state_of
 
 from tissueid.inference.estimates import LEVEL_95, MAX_WIDTH, estimate_tissue, profile
 from tissueid.model.base import ContactPath
@@ -18,7 +18,7 @@ POOLINGS = ("partial", "shared", "scaled")
 
 
 def fit(recipe, seed=0, *, static="partial", tick=None):
-    return state_of(handles_for(draw(recipe, seed)), machine=True, static=static, tick=tick).fit
+    return state_of(handles_of(recipe, seed), machine=True, static=static, tick=tick).fit
 
 
 @pytest.mark.parametrize("static", POOLINGS)
@@ -45,11 +45,11 @@ def test_tissue_is_identified_and_says_how(static):
 
 
 def test_residuals_are_those_of_the_reported_tissue():
-    logs = draw(small_recipe(branches=(TRUE,)), 1)
-    found = state_of(handles_for(logs), static="shared").fit
+    handles = handles_of(small_recipe(branches=(TRUE,)), 1)
+    found = state_of(handles, static="shared").fit
     model = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=found.depth_mm)
     squares = 0.0
-    for log, trial in zip(logs, found.trials, strict=True):
+    for log, trial in zip((one.load() for one in handles), found.trials, strict=True):
         depth = np.maximum(log.displacement_mm - trial.contact_offset_mm, 0.0)
         residual = log.force_N - model.force(found.theta, ContactPath(log.time_s, depth))
         # the path between a contact and the sample behind it is a line here and there
@@ -61,7 +61,7 @@ def test_residuals_are_those_of_the_reported_tissue():
 
 
 def test_shared_logs_keep_a_contact_each():
-    handles = handles_for(draw(small_recipe(branches=(TRUE,), sigma_N=0.05), 5), sd_mm=0.03)
+    handles = handles_of(small_recipe(branches=(TRUE,), sigma_N=0.05), 5, sd_mm=0.03)
     contact = handles[0].segmentation.contact
     late = replace(contact, displacement_mm=contact.displacement_mm + 0.03)
     trial = handles[0].load()
@@ -108,7 +108,7 @@ SEEDS = 25
 
 def estimate(recipe, seed, pooling, *, branches=1, degree=0):
     asked = {"branches": (branches,), "degrees": (degree,), "pooling": pooling, "noise": "white"}
-    return estimate_tissue(identified(handles_for(draw(recipe, seed)), **asked))
+    return estimate_tissue(identified(handles_of(recipe, seed), **asked))
 
 
 @pytest.mark.parametrize("pooling", POOLINGS)
@@ -216,7 +216,7 @@ def test_a_covariance_is_symmetric_where_directions_are_nearly_flat():
 
 
 def profiled(recipe, seed=1, branch=0, **asked):
-    ours = identified(handles_for(draw(recipe, seed)), noise="white", **asked)
+    ours = identified(handles_of(recipe, seed), noise="white", **asked)
     return ours, *profile(ours, branch)
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import draw, handles_for, identified, small_recipe
+from inference_cases import draw, handles_for, handles_of, identified, small_recipe
 from scipy.stats import multivariate_normal
 
 from tissueid.inference.conditional import conditional, holding
@@ -26,7 +26,7 @@ SHORT = small_recipe(rate_Hz=50.0)
 
 
 def one_log(**asked):
-    ours = identified(handles_for(draw(replace(SHORT, logs=SHORT.logs[-1:]), 1), sd_mm=0.02), **asked)
+    ours = identified(handles_of(replace(SHORT, logs=SHORT.logs[-1:]), 1, sd_mm=0.02), **asked)
     return ours, SpecimenTarget(ours, machine=asked.get("machine", False))
 
 
@@ -48,24 +48,18 @@ def test_a_single_log_has_the_likelihood_of_its_samples_and_its_priors():
         left = ours.system.force - ours.system.predict(point)
         sigma = np.exp(one[at.places["ln_sigma"]])
         # priors are of the coefficients times the largest states
-        value = (
-            -0.5 * ((prior.rows @ one[: at.n_shared] - prior.target) ** 2).sum()
-            - 0.5 * prior.own[0, 0] * contact**2
-        )
+        value = -0.5 * ((prior.rows @ one[: at.n_shared] - prior.target) ** 2).sum()
+        value -= 0.5 * prior.own[0, 0] * contact**2
         value += -0.5 * float(left @ left) / sigma**2 - left.size * np.log(sigma)
         expected.append(value)
     inside = np.isfinite(found)
     assert inside.sum() >= 4
-    np.testing.assert_allclose(
-        (found - found[inside][0])[inside],
-        (expected - np.array(expected)[inside][0])[inside],
-        rtol=1e-7,
-        atol=1e-6,
-    )
+    found, expected = found[inside], np.array(expected)[inside]
+    np.testing.assert_allclose(found - found[0], expected - expected[0], rtol=1e-7, atol=1e-6)
 
 
 def test_a_common_scale_is_as_likely_as_the_gains_that_undo_it():
-    ours = identified(handles_for(draw(SHORT, 2), sd_mm=0.02), pooling="scaled", noise="white")
+    ours = identified(handles_of(SHORT, 2, sd_mm=0.02), pooling="scaled", noise="white")
     at = SpecimenTarget(ours, machine=False)
     gains, linear = ours.optimum.point.own[:, 0], slice(at.law.times + 3, at.n_shared)
     ln_scale = np.array([-0.5, -0.1, 0.0, 0.1, 0.5])
@@ -79,10 +73,8 @@ def test_a_common_scale_is_as_likely_as_the_gains_that_undo_it():
     # and it is drawn as wide: the density in the coordinates of the walkers has the volume of their map
     for z in np.random.default_rng(2).standard_normal((4, at.size)):
         there = np.array([z, np.zeros(at.size)])
-        expected = volume(at, there[0]) - volume(at, there[1])
-        assert np.subtract(*(at.densities(there) - at.density(at.vectors(there)))) == pytest.approx(
-            expected, abs=1e-4
-        )
+        change = np.subtract(*(at.densities(there) - at.density(at.vectors(there))))
+        assert change == pytest.approx(volume(at, there[0]) - volume(at, there[1]), abs=1e-4)
 
 
 def test_correlated_noise_has_its_dense_covariance():
@@ -108,7 +100,7 @@ def test_correlated_noise_has_its_dense_covariance():
 
 def test_what_logs_have_for_themselves_is_integrated():
     """Gains, contacts, times and shapes are linear about the optimum: a normal of the whole covariance."""
-    ours = identified(handles_for(draw(SHORT, 2), sd_mm=0.02), pooling="scaled", noise="white")
+    ours = identified(handles_of(SHORT, 2, sd_mm=0.02), pooling="scaled", noise="white")
     at = SpecimenTarget(ours, machine=False)
     system, own = ours.system, ours.optimum.point.own
     x = np.array([at.mode, at.mode])
@@ -127,10 +119,8 @@ def test_what_logs_have_for_themselves_is_integrated():
         sigma, gain = np.exp(one[at.places["ln_sigma"]]), np.exp(one[at.places["ln_gain_sd"]])
         value = 0.5 * -((gain / at.priors.gain_sd) ** 2) + np.log(gain)
         shape, time = ours.scatter.shape, ours.scatter.time
-        size = np.array([gain, 0.02 / system.depth_mm, time, shape, shape])
-        free = np.kron(np.eye(logs), np.diag([1.0, 1.0, 1.0, 0.0, 0.0])) + np.kron(
-            about, np.diag([0.0, 0.0, 0.0, 1.0, 1.0])
-        )
+        size, shapes = np.array([gain, 0.02 / system.depth_mm, time, shape, shape]), [0, 0, 0, 1, 1]
+        free = np.kron(np.eye(logs), np.diag(1 - np.array(shapes))) + np.kron(about, np.diag(shapes))
         prior = free * np.tile(size, logs) ** 2
         covariance = wide @ prior @ wide.T + sigma**2 * np.diag(1.0 / system.count)
         # the force where logs have nothing of their own, linearly
@@ -180,9 +170,7 @@ def volume(at, z):
 def test_the_density_does_not_depend_on_how_coordinates_are_given(case):
     """A change of variables: density times its Jacobian."""
     if case == "two logs":
-        at = SpecimenTarget(
-            identified(handles_for(draw(SHORT, 2), sd_mm=0.02), pooling="scaled", noise="white")
-        )
+        at = SpecimenTarget(identified(handles_of(SHORT, 2, sd_mm=0.02), pooling="scaled", noise="white"))
     else:
         _, at = one_log(noise="white" if case == "one log" else "ar1", machine=True)
     assert ("ln_memory" in at.places, "ln_gain_sd" in at.places) == (case == "memory", case == "two logs")
@@ -190,9 +178,8 @@ def test_the_density_does_not_depend_on_how_coordinates_are_given(case):
     found, x = at.densities(z), at.vectors(z)
     for k, place in enumerate(at.cut_places):
         # of what bounds cut, by quantiles of the prior
-        np.testing.assert_allclose(
-            x[:, place], quantile(at.priors.calibration[at.names[place]], z[:, k]), atol=1e-9
-        )
+        values = quantile(at.priors.calibration[at.names[place]], z[:, k])
+        np.testing.assert_allclose(x[:, place], values, atol=1e-9)
     inside = np.isfinite(found)
     assert inside.sum() >= 2
     expected = at.density(x[inside]) + np.array([volume(at, one) for one in z[inside]])
@@ -335,16 +322,14 @@ def test_the_table_names_every_prior_and_what_the_data_added():
     assert "weak" in rows["static_2_N_per_mm2"].prior
     assert "log-normal" in rows["ln_relaxation_time_1"].prior
     assert rows["force_gain"].shrinkage == pytest.approx(0.5, abs=0.1)
-    assert {"force_gain", "skew_s"}.isdisjoint(
-        row.name for row in prior_table(target()[1], vectors, theta, None)
-    )
+    plain = {row.name for row in prior_table(target()[1], vectors, theta, None)}
+    assert not {"force_gain", "skew_s"} & plain
 
 
 def held_behind_an_unknown_frame():
     """One ramp of 1 mm/s to 5 mm and a hold of 20 s at 50 Hz; nothing is known of the machine."""
     plan = small_recipe(rate_Hz=50.0, sigma_N=0.2, logs=(Log("one", (Move(5.0, 60.0), Hold(20.0))),))
-    ours = identified(handles_for(draw(plan, 1), sd_mm=0.02), machine=True)
-    return SpecimenTarget(ours)
+    return SpecimenTarget(identified(handles_of(plan, 1, sd_mm=0.02), machine=True))
 
 
 def test_linear_parameters_of_a_log_are_normal_given_all_else():
@@ -390,16 +375,7 @@ def test_linear_parameters_within_walls_are_drawn_by_their_own_density(lean: flo
 
 
 def test_walls_that_hold_are_near_and_none_follows_from_others():
-    rows = np.array(
-        [
-            [1.0, 0.0, 0.0],
-            [1.0, 1e-3, 0.0],
-            [0.0, 0.0, 1.0],
-            [0.0, 1.0, 0.0],
-            [-1.0, 1e-3, 0.0],
-            [0.0, 0.0, 0.0],
-        ]
-    )
+    rows = np.array([[1, 0, 0], [1, 1e-3, 0], [0, 0, 1], [0, 1, 0], [-1, 1e-3, 0], [0, 0, 0]])
     assert holding(np.eye(3), rows, np.array([0.0, 0.01, 0.3, -1e-9, 9.0, 0.0])).tolist() == [3, 0]
     # opposite ones leave a corner between them
     assert holding(np.eye(3), rows, np.array([0.0, 0.01, 0.3, 1e200, 0.01, 0.0])).tolist() == [0, 4]
@@ -407,15 +383,10 @@ def test_walls_that_hold_are_near_and_none_follows_from_others():
 
 
 def test_linear_parameters_keep_off_the_wall_that_holds_the_optimum():
-    branch = Branch((0.0, 6.0), 1.0)
-    plan = small_recipe(
-        rate_Hz=50.0, sigma_N=0.1, branches=(branch,), logs=(Log("one", (Move(5.0, 60.0), Hold(5.0))),)
-    )
+    logs = (Log("one", (Move(5.0, 60.0), Hold(5.0))),)
+    plan = small_recipe(rate_Hz=50.0, sigma_N=0.1, branches=(Branch((0.0, 6.0), 1.0),), logs=logs)
     for seed in range(8):
-        ours = identified(
-            handles_for(draw(plan, seed), sd_mm=0.02), machine=True, degrees=(1,), branches=(1,)
-        )
-        at = SpecimenTarget(ours)
+        at = SpecimenTarget(identified(handles_of(plan, seed, sd_mm=0.02), machine=True, degrees=(1,)))
         rows, least = at._walls_held
         if len(rows):
             break

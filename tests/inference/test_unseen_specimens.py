@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from closed_forms import branch_state
 
 import tissueid as ti
 from tissueid.inference.verdict import outside
@@ -22,21 +23,13 @@ def recorded(force_of, *, seed, noise=0.002, rate_Hz=50.0, speed=2.0, depth=5.0,
     return ti.Trial(time_s=time, displacement_mm=travel, force_N=force)
 
 
-def relaxing(time, driven, tau):
-    """What is left of a driven state that decays with ``tau``, exact where it is driven evenly."""
-    kept, out = np.exp(-np.diff(time) / tau), np.zeros(time.size)
-    for i, (share, step, push) in enumerate(zip(kept, np.diff(time), np.diff(driven), strict=True)):
-        out[i + 1] = share * out[i] + tau * (1.0 - share) * push / step
-    return out
-
-
 def elastic(x):
     return 0.3 * x + 0.05 * x**2 + 0.05 * x**3
 
 
 def quasi_linear(time, x):
     """Four tenths of the elastic force relax within 1.5 s, inside the convolution."""
-    return elastic(x) + 0.4 * relaxing(time, elastic(x), 1.5)
+    return elastic(x) + 0.4 * branch_state(time, elastic(x), 1.5)
 
 
 def rows(fit):
@@ -60,7 +53,7 @@ def test_a_law_that_predicts_a_little_better_widens_what_relaxes_after_a_step(se
 
 
 def kelvin_voigt(time, x):
-    return 0.3 * x + 0.05 * x**2 + 0.02 * x**3 + 0.5 * relaxing(time, x, 3.0)
+    return 0.3 * x + 0.05 * x**2 + 0.02 * x**3 + 0.5 * branch_state(time, x, 3.0)
 
 
 def test_two_logs_leave_what_they_have_in_common_open_evenly():
@@ -81,7 +74,7 @@ def sites(*ratios):
     """Recordings of one tissue at sites whose relaxation times are these times its own."""
 
     def site(ratio):
-        return lambda t, x: 2.0 * x + 0.3 * x**2 + 0.05 * x**3 + 3.0 * relaxing(t, x, 0.5 * ratio)
+        return lambda t, x: 2.0 * x + 0.3 * x**2 + 0.05 * x**3 + 3.0 * branch_state(t, x, 0.5 * ratio)
 
     return [
         recorded(site(ratio), seed=seed, noise=0.0005, rate_Hz=200.0, depth=4.0, hold_s=8.0)
@@ -155,7 +148,7 @@ def test_a_value_that_no_log_alone_has_is_withheld(value, total, alone, held):
 
 
 def test_the_intervals_behind_a_machine_of_which_nothing_is_known_hold_a_rigid_one():
-    trial = recorded(lambda t, x: 2.0 * x + 3.0 * relaxing(t, x, 0.5), seed=0, rate_Hz=100.0)
+    trial = recorded(lambda t, x: 2.0 * x + 3.0 * branch_state(t, x, 0.5), seed=0, rate_Hz=100.0)
     found = rows(ti.fit([trial]).sample())
     for name, truth in (("relaxation_time_s", 0.5), ("viscosity_N_s_per_mm", 1.5)):
         low, high = found[name]["ci95_total"]
@@ -163,7 +156,7 @@ def test_the_intervals_behind_a_machine_of_which_nothing_is_known_hold_a_rigid_o
 
 
 def test_a_relaxation_that_is_slower_than_its_search_leaves_what_it_exchanges_unknown():
-    trial = recorded(lambda t, x: kelvin_voigt(t, x) + 2.0 * relaxing(t, x, 500.0), seed=1)
+    trial = recorded(lambda t, x: kelvin_voigt(t, x) + 2.0 * branch_state(t, x, 500.0), seed=1)
     found = {one.name: one for one in ti.fit([trial]).result.parameters}
     unknown = {name for name, one in found.items() if not one.identified}
     slow = ("stiffness_0_N_per_mm_b2", "relaxation_time_s_b2", "viscosity_N_s_per_mm_b2")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from closed_forms import branch_state
 from scipy.signal import lfilter
 from told import codes, divided, flag_of, kinds, normal
 
@@ -286,15 +287,9 @@ def touched(touch_mm: float, *, noise: float, seed: int = 0, film_N: float = 0.0
     depth = np.interp(time, times, [-2.0, -2.0, touch_mm, touch_mm, DEPTH_MM, DEPTH_MM])
     into = np.maximum(depth, 0.0)
     force = sum(a * into ** (k + 1) for k, a in enumerate(STATIC))
-    decay, state = np.exp(-0.02 / 2.0), 0.0
-    branch = np.zeros(time.size)
-    for k, change in enumerate(np.diff(into), start=1):
-        state = decay * state + 2.0 * (1.0 - decay) / 0.02 * change
-        branch[k] = state
     # a film of liquid under the tool, pressed out while it stands
     film = np.interp(time, [times[2] - 0.4, times[2], times[2] + 0.5], [0.0, film_N, 0.0])
-    force = force + branch + film
-    rng = np.random.default_rng(seed)
+    force, rng = force + branch_state(time, into, 2.0) + film, np.random.default_rng(seed)
     force = force + noise * force.max() * rng.normal(size=time.size)
     return Trial("touch", time, depth + 1e-4 * rng.normal(size=time.size), force)
 

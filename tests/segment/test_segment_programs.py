@@ -18,6 +18,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from closed_forms import branch_state
 from told import kinds
 
 from tissueid.segment import segment
@@ -358,13 +359,7 @@ def _force(rng: np.random.Generator, setting: Setting, time_s: np.ndarray, depth
     static = FULL_FORCE_N * (0.6 * z + 0.4 * z**3)
     tau = float(10.0 ** rng.uniform(-1.5, 0.7))
     stiffness = rng.uniform(0.3, 1.5) * FULL_FORCE_N / setting.depth_mm
-    a = np.exp(-np.diff(time_s) / tau)
-    phi = -np.expm1(-np.diff(time_s) / tau) * tau / np.diff(time_s)
-    state = np.zeros(time_s.size)
-    steps = phi * np.diff(x)
-    for n in range(time_s.size - 1):
-        state[n + 1] = a[n] * state[n] + steps[n]
-    return np.maximum(static + stiffness * state, 0.0)
+    return np.maximum(static + stiffness * branch_state(time_s, x, tau), 0.0)
 
 
 def _state_edges(program: Program, knots: np.ndarray, spans: np.ndarray) -> None:
