@@ -267,9 +267,8 @@ def test_programs_of_two_sides_are_paired_where_they_ran_alike():
     # one program each: what knows the ramp is refused with the reason
     (pair,) = measured_pairs([("quick", spread([quick])), ("slow", one)])
     rows = {(row["name"], row["time_s"]): row for row in pair["numbers"]}
-    assert (
-        "depends on the ramp, and there are ramps of 1.1 to 8.8 s" in rows["force_over_peak", 1.0]["reason"]
-    )
+    reason = "depends on the ramp, and there are ramps of 1.1 to 8.8 s"
+    assert reason in rows["force_over_peak", 1.0]["reason"]
     assert rows["force", 1.0]["ratio"] is None
 
 
@@ -311,6 +310,5 @@ def test_a_header_states_a_sphere_unless_something_else_is_stated():
 
 def test_a_recording_without_phases_has_a_base_alone():
     trial, divided = recording()
-    assert measure(trial, replace(divided, phases=(), corners=(), contact=None)) == Measured(
-        measure(trial, replace(divided, phases=(), corners=(), contact=None)).base, None, (), ()
-    )
+    found = measure(trial, replace(divided, phases=(), corners=(), contact=None))
+    assert found == Measured(found.base, None, (), ())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -49,17 +50,13 @@ def test_one_exponential_equals_curve_fit_on_noisy_data():
         tau = float(np.exp(rng.uniform(np.log(0.05), np.log(8.0))))
         force = decay(TIME, 20.0, [6.0], [tau]) + 0.1 * rng.normal(size=TIME.size)
         (found,), model = fit_exponentials(TIME, force, 1)
-        best, _ = curve_fit(
-            lambda t, c, a, v: c + a * np.exp(-t / v),
-            TIME,
-            force,
-            p0=[20.0, 6.0, tau],
-            xtol=1e-14,
-            ftol=1e-14,
-        )
+
+        def law(t, c, a, v):
+            return c + a * np.exp(-t / v)
+
+        best, _ = curve_fit(law, TIME, force, p0=[20.0, 6.0, tau], xtol=1e-14, ftol=1e-14)
         assert found == pytest.approx(best[2], rel=1e-5)
-        ours = float(((force - model) ** 2).sum())
-        theirs = float(((force - best[0] - best[1] * np.exp(-TIME / best[2])) ** 2).sum())
+        ours, theirs = (float(((force - one) ** 2).sum()) for one in (model, law(TIME, *best)))
         assert ours == pytest.approx(theirs, rel=1e-9)
 
 
@@ -106,9 +103,8 @@ def hold_trial(force_of_hold, *, step=0.05, ramp_s=1.0, hold_s=30.0, sigma=0.0, 
     corner = round(ramp_s / step)
     time = np.arange(corner + round(hold_s / step) + 1) * step
     depth = np.minimum(time / ramp_s, 1.0) * 4.0
-    force = np.where(
-        time < ramp_s, force_of_hold(0.0) * time / ramp_s, force_of_hold(np.maximum(time - ramp_s, 0.0))
-    )
+    held = force_of_hold(np.maximum(time - ramp_s, 0.0))
+    force = np.where(time < ramp_s, force_of_hold(0.0) * time / ramp_s, held)
     force = force + sigma * np.random.default_rng(seed).normal(size=time.size)
     return Trial("s", time, depth, force, Protocol(speed_mm_s=4.0 / ramp_s, depth_mm=4.0, hold_s=hold_s))
 
@@ -135,20 +131,16 @@ def row_of(amplitudes, taus, *, noise_N=0.0, **made):
 
 
 def test_window_runs_from_the_stop_to_the_end_of_the_hold():
-    trial = PLAIN
-    (row,) = relaxation.relaxation_rows(trial, true_segmentation(trial))
+    (row,) = relaxation.relaxation_rows(PLAIN, true_segmentation(PLAIN))
     assert row.window_s == pytest.approx((1.0, 31.0))
     assert row.peak_force_N == pytest.approx(30.0)
     assert row.tau_single_s == pytest.approx(2.0, rel=1e-5)
     assert row.nrmsd_single <= 1e-6
-    assert row.path == trial.source.path
+    assert row.path == PLAIN.source.path
 
 
 def test_a_peak_before_the_stop_is_the_peak_and_not_in_the_window():
-    trial = PLAIN
-    force = trial.force_N.copy()
-    force[19] = 31.0
-    early = Trial("s", trial.time_s, trial.displacement_mm, force, trial.protocol)
+    early = replace(PLAIN, force_N=np.where(np.arange(PLAIN.time_s.size) == 19, 31.0, PLAIN.force_N))
     (row,) = relaxation.relaxation_rows(early, true_segmentation(early))
     assert row.window_s[0] == pytest.approx(1.0)
     assert row.tau_single_s == pytest.approx(2.0, rel=1e-5)
@@ -156,23 +148,19 @@ def test_a_peak_before_the_stop_is_the_peak_and_not_in_the_window():
 
 
 def test_forces_recorded_with_the_other_sign_and_a_baseline_give_the_same_row():
-    trial = PLAIN
-    (row,) = relaxation.relaxation_rows(trial, true_segmentation(trial))
-    flipped = Trial("s", trial.time_s, -trial.displacement_mm, 3.0 - trial.force_N, trial.protocol)
-    phases = true_segmentation(trial).phases
+    (row,) = relaxation.relaxation_rows(PLAIN, true_segmentation(PLAIN))
+    flipped = replace(PLAIN, displacement_mm=-PLAIN.displacement_mm, force_N=3.0 - PLAIN.force_N)
+    phases = true_segmentation(PLAIN).phases
     segmentation = Segmentation(-1, -1, Contact(0, 0.0, 1e-4, baseline_N=3.0), phases, 0.0)
     (same,) = relaxation.relaxation_rows(flipped, segmentation)
     assert same.tau_single_s == pytest.approx(row.tau_single_s, rel=1e-9)
     assert same.peak_force_N == pytest.approx(row.peak_force_N)
 
 
-def test_a_clean_single_exponential_has_no_flag():
-    assert row_of([10.0], [2.0], sigma=0.05, noise_N=0.05)[1] == {}
-
-
-def test_noise_that_was_underrated_asks_for_no_second_exponential():
+@pytest.mark.parametrize(("sigma", "noise_N"), [(0.05, 0.05), (0.16, 0.08)])
+def test_a_clean_single_exponential_has_no_flag_though_its_noise_was_underrated(sigma, noise_N):
     # one sample of 3,000 is nearly four sd off: a twentieth of the range, six times the stated noise
-    assert row_of([10.0], [2.0], sigma=0.16, noise_N=0.08)[1] == {}
+    assert row_of([10.0], [2.0], sigma=sigma, noise_N=noise_N)[1] == {}
 
 
 def test_relaxation_longer_than_a_third_of_its_window_is_flagged_with_both():
@@ -197,9 +185,8 @@ def test_no_hold_or_no_contact_no_row():
     time = np.arange(200) * 0.01
     trial = Trial("s", time, time * 2.0, time * 10.0, Protocol(speed_mm_s=2.0, depth_mm=3.98))
     assert relaxation.relaxation_rows(trial, true_segmentation(trial)) == ()
-    trial = PLAIN
-    segmentation = Segmentation(1, 1, None, true_segmentation(trial).phases, 0.0)
-    assert relaxation.relaxation_rows(trial, segmentation) == ()
+    segmentation = Segmentation(1, 1, None, true_segmentation(PLAIN).phases, 0.0)
+    assert relaxation.relaxation_rows(PLAIN, segmentation) == ()
 
 
 def test_every_hold_has_its_row():

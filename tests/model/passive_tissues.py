@@ -84,10 +84,8 @@ def sampled(corners: list[tuple[float, float]], per_leg: int) -> tuple[np.ndarra
     for x, duration in corners:
         start = depth[-1]
         share = start / (start - x) if start * x < 0.0 else 1.0
-        legs_of_corner = (
-            [(x, duration)] if share == 1.0 else [(0.0, share * duration), (x, (1.0 - share) * duration)]
-        )
-        for end, lasting in legs_of_corner:
+        parts = [(0.0, share * duration), (x, (1.0 - share) * duration)]
+        for end, lasting in [(x, duration)] if share == 1.0 else parts:
             time.extend(time[-1] + lasting * fraction)
             depth.extend(depth[-1] + (end - depth[-1]) * fraction)
     return np.array(time), np.array(depth)
@@ -121,7 +119,7 @@ def assert_no_energy(model: Any, theta: Any, rng: np.random.Generator, *, turns:
     assert force.min() >= 0.0
 
 
-def assert_stiffer_has_all_forces_times_that(model: Any, theta: Any, depth: Any) -> None:
+def assert_stiffer_scales_forces(model: Any, theta: Any, depth: Any) -> None:
     """A servo's law times three pushes back three times as much at every tick."""
     law = servo_law(model, theta)
     blocks = [(one.packed(), np.zeros(STATE_SIZE)) for one in (law, law.stiffer(3.0))]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 from passive_tissues import of_law
@@ -38,9 +36,8 @@ def test_force_after_a_step_or_a_ramp_is_that_of_the_recursion(tissue, ramp_s):
     force = model.force(theta, ContactPath(time, np.array([0.0, 3.0, 3.0, 3.0])))
     for k in (1, 2, 3):
         since = float(time[k] - ramp_s)
-        ramp = (force_after_ramp, (model, theta, 3.0, 2.0, since))
-        function, at = ramp if ramp_s else (force_after_ramp, (model, theta, 3.0, None, since))
-        assert function(*at) == pytest.approx(force[k], rel=1e-13)
+        found = force_after_ramp(model, theta, 3.0, 2.0 if ramp_s else None, since)
+        assert found == pytest.approx(force[k], rel=1e-13)
 
 
 def last_cycle(frequency, amplitude, n):
@@ -88,9 +85,8 @@ def test_error_of_a_function_is_the_spread_over_draws():
     unknown = np.zeros(THETA.size, dtype=bool)
 
     def relaxed(theta):
-        return 1.0 - force_after_ramp(MODEL, theta, 3.0, None, 0.5) / force_after_ramp(
-            MODEL, theta, 3.0, None, 0.0
-        )
+        after, peak = (force_after_ramp(MODEL, theta, 3.0, None, since) for since in (0.5, 0.0))
+        return 1.0 - after / peak
 
     value, stderr = functionals.delta_method(relaxed, THETA, covariance, unknown)
     draws = [relaxed(theta) for theta in rng.multivariate_normal(THETA, covariance, size=4000)]
@@ -143,15 +139,6 @@ def hard_tissue(static: tuple[float, ...]) -> tuple[ChannelModel, np.ndarray]:
     return kelvin_voigt(1, 0, 9.0), np.array([*static, STIFFNESS, TAU_S])
 
 
-def static_work(static: tuple[float, ...], depth: float) -> float:
-    return sum(a * depth ** (k + 2) / (k + 2) for k, a in enumerate(static))
-
-
-def forces_at(of: tuple[ChannelModel, np.ndarray], work: float, speeds_mm_s: Sequence[float]) -> list[float]:
-    """Force at rupture under constant work, by speed."""
-    return [rupture_at_speed(*of, "work", work, speed_mm_s=speed)["force"] for speed in speeds_mm_s]
-
-
 def stretched(stiffness, x: np.ndarray, state: np.ndarray) -> np.ndarray:
     """int_{x - s}^{x} K dy of a polynomial K."""
     return sum(k / (p + 1) * (x ** (p + 1) - (x - state) ** (p + 1)) for p, k in enumerate(stiffness))
@@ -191,11 +178,12 @@ def test_a_threshold_beyond_the_depth_is_no_rupture_and_an_unknown_criterion_ref
 def test_the_force_at_rupture_changes_with_speed_as_the_sign_test_says(static: tuple[float, ...]) -> None:
     model, theta = hard_tissue(static)
     speed = 0.3  # v tau = 0.0063 mm, a thousandth of the depth
-    work = static_work(static, 6.0)
-    near = forces_at((model, theta), work, [0.8 * speed, 1.2 * speed])
-    point = rupture_at_speed(model, theta, "work", work, speed_mm_s=speed)
+    work = sum(a * 6.0 ** (k + 2) / (k + 2) for k, a in enumerate(static))
+    slower, point, faster = (
+        rupture_at_speed(model, theta, "work", work, speed_mm_s=share * speed) for share in (0.8, 1.0, 1.2)
+    )
     ratio = hardening_ratio(model, theta, point["depth"], point["force"])
-    slope = (near[1] - near[0]) / (0.4 * speed)
+    slope = (faster["force"] - slower["force"]) / (0.4 * speed)
     # dF/dv = K tau (1 - x F_s'/F), to the first order in v tau / x
     assert slope == pytest.approx(STIFFNESS * TAU_S * (1.0 - ratio), rel=0.02)
 

@@ -14,7 +14,6 @@ from passive_tissues import (
     MODEL_SETTINGS,
     SEED_MODEL,
     SEED_THETA,
-    TAU,
     derivative,
     legs,
     sampled,
@@ -57,7 +56,8 @@ def test_ramp_and_hold_with_the_corner_on_the_grid_matches_closed_form(branches:
     speed, deepest = 4.0, 6.0
     time = np.concatenate([np.linspace(0.0, 1.5, 200), 1.5 + np.geomspace(1e-3, 40.0, 200)])
     depth = np.minimum(speed * time, deepest)
-    states = [ramp_hold_state(time, speed_mm_s=speed, depth_mm=deepest, tau_s=t) for t in TAU[:branches]]
+    taus = model.split(theta)[2]
+    states = [ramp_hold_state(time, speed_mm_s=speed, depth_mm=deepest, tau_s=tau) for tau in taus]
     expected = model.static_force(theta, depth) + np.sum(model.stiffness(theta, depth) * states, axis=0)
     np.testing.assert_allclose(model.force(theta, ContactPath(time, depth)), expected, rtol=1e-9)
 
@@ -180,9 +180,8 @@ def test_stepper_replays_a_path_as_force_computes_it(branches: int, degree: int)
     model, theta = tissue(branches, degree)
     step = 10.0 ** np.random.default_rng(11).uniform(-3.5, -1.5, 199)
     step[50], step[120] = 0.0, 25.0
-    depth = np.concatenate(
-        [np.linspace(0.0, 7.5, 120), np.full(40, 7.5), 7.5 - 0.01 * np.arange(1, 21), np.full(20, 7.3)]
-    )
+    held, back = np.full(40, 7.5), 7.5 - 0.01 * np.arange(1, 21)
+    depth = np.concatenate([np.linspace(0.0, 7.5, 120), held, back, np.full(20, 7.3)])
     expected = model.force(theta, ContactPath(np.append(0.0, np.cumsum(step)), depth))
     assert expected[1:].min() > 0.0  # in contact throughout, so that the two must be the same
     stepper, other = TissueStepper(model, theta), TissueStepper(model, theta)

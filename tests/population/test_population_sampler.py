@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import emcee
 import numpy as np
 import pytest
 from cohort_factory import lkj_factor, monte_carlo_errors, normal_stage, plain_design
 from scipy.special import gammaln
+from scipy.stats import norm
 
 from tissueid.population.chains import Scales, ScalesDensity, ScalesMove
 from tissueid.population.sampler import PopulationDraws, SamplerOptions, sample_population
@@ -41,19 +43,11 @@ def test_a_normal_population_of_one_number_is_that_of_a_grid(own, smooth):
     rng = np.random.default_rng(4)
     y = 1.0 + 0.2 * rng.standard_normal(12) + own * rng.standard_normal(12)
     # quantiles of each likelihood as its draws: no Monte-Carlo error of stage 1
-    from scipy.stats import norm
-
     unit = norm.ppf((np.arange(4000) + 0.5) / 4000)
-    stage = StageOne(
-        tuple((one + own * unit)[:, None] for one in y),
-        tuple(np.zeros(4000) for _ in y),
-        np.zeros(1, bool),
-        np.zeros(0, np.int64),
-    )
-    priors = PopulationPriors()
-    found = sample_population(
-        stage, plain_design(12), priors, SamplerOptions(tails="normal", draws=12_800, blocks=2)
-    )
+    phi, weights = tuple((one + own * unit)[:, None] for one in y), tuple(np.zeros(4000) for _ in y)
+    stage, priors = StageOne(phi, weights, np.zeros(1, bool), np.zeros(0, np.int64)), PopulationPriors()
+    options = SamplerOptions(tails="normal", draws=12_800, blocks=2)
+    found = sample_population(stage, plain_design(12), priors, options)
     assert found.smoothed.size == smooth
     assert found.converged
     draws = {"mean": found.coefficient[:, :, 0, 0], "ln_sd": np.log(found.sd[:, :, 0])}
@@ -168,16 +162,10 @@ def joint_density(points: np.ndarray, measured: np.ndarray, own: np.ndarray) -> 
     places = points[:, 6:].reshape(-1, SPECIMENS, SIZE)
     r, nu = np.tanh(z), np.exp(log_nu)
     away = (places - mean[:, None, :]) * np.exp(-log_sd)[:, None, :]
-    square = (away[..., 0] ** 2 - 2.0 * r[:, None] * away[..., 0] * away[..., 1] + away[..., 1] ** 2) / (
-        1.0 - r**2
-    )[:, None]
-    t = (
-        gammaln(0.5 * (nu + 2))
-        - gammaln(0.5 * nu)
-        - np.log(nu)
-        - log_sd.sum(axis=1)
-        - 0.5 * np.log1p(-(r**2))
-    )
+    square = away[..., 0] ** 2 - 2.0 * r[:, None] * away[..., 0] * away[..., 1] + away[..., 1] ** 2
+    square /= (1.0 - r**2)[:, None]
+    t = gammaln(0.5 * (nu + 2)) - gammaln(0.5 * nu) - np.log(nu)
+    t -= log_sd.sum(axis=1) + 0.5 * np.log1p(-(r**2))
     value = SPECIMENS * t - 0.5 * (nu + 2) * np.log1p(square / nu[:, None]).sum(axis=1)
     value += -0.5 * (((measured - places) / own) ** 2).sum(axis=(1, 2))
     value += -0.5 * ((mean / priors.mean_sd) ** 2).sum(axis=1)
@@ -200,15 +188,10 @@ def test_two_stages_agree_with_joint_sampling(own, smooth):
     stage = normal_stage(measured, np.zeros(SIZE) + 1e-12, rng, draws=4)
     unit = rng.standard_normal((20_000, SIZE))
     unit = (unit - unit.mean(axis=0)) @ np.linalg.inv(np.linalg.cholesky(np.cov(unit.T))).T
-    stage = type(stage)(
-        tuple(one + sd * unit for one in measured),
-        tuple(np.zeros(len(unit)) for _ in measured),
-        stage.linear,
-        stage.ascending,
-    )
-    two = sample_population(
-        stage, plain_design(SPECIMENS), None, SamplerOptions(draws=64_000, blocks=1, settle=200)
-    )
+    phi, weights = tuple(one + sd * unit for one in measured), tuple(np.zeros(len(unit)) for _ in measured)
+    stage = replace(stage, phi=phi, log_reference=weights)
+    options = SamplerOptions(draws=64_000, blocks=1, settle=200)
+    two = sample_population(stage, plain_design(SPECIMENS), None, options)
     walkers = 64
     start = np.concatenate([measured.mean(axis=0), np.log([0.2, 0.2]), [0.0, 2.0], measured.ravel()])
     spread = np.concatenate([[0.1, 0.1, 0.2, 0.2, 0.2, 0.3], np.tile(0.3 * sd, SPECIMENS)])
@@ -226,15 +209,8 @@ def test_two_stages_agree_with_joint_sampling(own, smooth):
     assert two.smoothed.size == smooth
     assert two.converged
     joint = sampler.get_chain(discard=3000, thin=20).swapaxes(0, 1)[:, :, :6]
-    staged = np.concatenate(
-        [
-            two.coefficient[:, :, 0],
-            np.log(two.sd),
-            np.arctanh(two.correlation[:, :, 1, :1]),
-            np.log(two.nu)[..., None],
-        ],
-        axis=2,
-    )
+    parts = [two.coefficient[:, :, 0], np.log(two.sd), np.arctanh(two.correlation[:, :, 1, :1])]
+    staged = np.concatenate([*parts, np.log(two.nu)[..., None]], axis=2)
     for k in range(len(NAMES)):
         # four Monte-Carlo errors of the difference
         mean, spread_of = 4.0 * np.hypot(*(monte_carlo_errors(one[:, :, k]) for one in (joint, staged)))

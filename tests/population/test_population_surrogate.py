@@ -35,11 +35,10 @@ def test_one_draw_far_out_in_the_prior_does_not_stand_for_all_others(below):
     found = mixture_of(phi, reference, LINEAR)
     assert np.abs((found.middle - expected.middle) / OWN).max() < 0.2
     for place in phi[:40]:
-        near, centre = place, expected.centre
-        change = level(found, near) - level(found, centre)
+        change, right = (level(one, place) - level(one, expected.centre) for one in (found, expected))
         # a hundredth of all weight at five standard deviations: a quarter more variance, up to half of a
         # squared distance of some ten
-        assert change == pytest.approx(level(expected, near) - level(expected, centre), abs=2.0)
+        assert change == pytest.approx(right, abs=2.0)
 
 
 def test_a_prior_that_varies_is_divided_out_of_the_likelihood():
@@ -65,11 +64,8 @@ def open_by_a_factor(count: int, spread: float) -> tuple[list[Member], np.ndarra
         error = spread * rng.standard_normal()
         # gains of two logs, whose own spread is open as well: longer tails than a normal
         scatter = error + spread * rng.standard_t(5.0, size=(2000, 1))
-        phi = (
-            place
-            + gain * scatter
-            + np.array([3e-4, 3e-4, 5e-4, 0.015, 0.05]) * rng.standard_normal((2000, 5))
-        )
+        own = np.array([3e-4, 3e-4, 5e-4, 0.015, 0.05]) * rng.standard_normal((2000, 5))
+        phi = place + gain * scatter + own
         theta = COORDINATES.to_theta(phi)
         if not COORDINATES.passive(theta).all():
             continue

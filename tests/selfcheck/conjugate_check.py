@@ -40,10 +40,6 @@ class NormalMean:
 
 if __name__ == "__main__":
     with Checkpoint(Path(sys.argv[1]), "killed") as checkpoint:
-        run_simulations(
-            NormalMean(pause_s=0.02),
-            checkpoint,
-            simulations=int(sys.argv[2]),
-            seed=5,
-            workers=int(sys.argv[3]),
-        )
+        simulations, workers = map(int, sys.argv[2:4])
+        check = NormalMean(pause_s=0.02)
+        run_simulations(check, checkpoint, simulations=simulations, seed=5, workers=workers)

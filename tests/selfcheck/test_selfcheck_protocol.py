@@ -108,15 +108,12 @@ def trial(path: str, specimen: str = "liver", *, stiffness: float = 30.0) -> Tri
 
 
 def of_these(
-    trials: Sequence[Trial],
-    *,
-    study: Study | None = None,
-    specimen: str | None = None,
-    model: str | None = None,
+    trials: Sequence[Trial], study: Study | None = None, **asked: Any
 ) -> tuple[str, Protocol, Centre]:
     known = {one.source.path: one for one in trials}
     given = protocols.Recordings(iter(trials), lambda source: known[source.path], "lab", study)
-    return protocols.of_recordings(given, specimen=specimen, model=model, progress=lambda *_: None)
+    asked = {"specimen": None, "model": None, "progress": lambda *_: None, **asked}
+    return protocols.of_recordings(given, **asked)
 
 
 @pytest.fixture(autouse=True)

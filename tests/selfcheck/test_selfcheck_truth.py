@@ -73,16 +73,9 @@ def test_truths_are_passive_ascending_and_follow_their_priors():
 
 
 def test_a_prior_that_reaches_beyond_the_cone_is_cut_there():
-    wide = Priors(
-        linear={
-            **dict(priors_for().linear),
-            "stiffness_0_N_per_mm": (0.0, 10.0),
-            "stiffness_1_N_per_mm2": (0.0, 1e-9),
-        }
-    )
-    theta = np.array(
-        [one.theta for one in truths(centred_priors(MODEL, THETA, sigma_N=0.5, phi=0.9, stated=wide))]
-    )
+    wide = {"stiffness_0_N_per_mm": (0.0, 10.0), "stiffness_1_N_per_mm2": (0.0, 1e-9)}
+    stated = Priors(linear={**priors_for().linear, **wide})
+    theta = np.array([one.theta for one in truths(priors_for(stated=stated))])
     # a constant K with mean 0 is half-normal once it may not be negative
     assert kstest(theta[:, 3] / 10.0, "halfnorm").pvalue > 1e-4
 
@@ -336,25 +329,22 @@ def test_the_tip_is_where_the_frame_leaves_it(give):
 def test_noise_is_stationary_with_the_stated_correlation():
     rng = np.random.default_rng(8)
     time = np.arange(40_000) * 0.01
-    found = noise(time, sigma_N=2.0, phi=0.9, reference_step_s=0.01, white_share=0.0, rng=rng)
+    told = {"sigma_N": 2.0, "reference_step_s": 0.01, "rng": rng}
+    found = noise(time, phi=0.9, white_share=0.0, **told)
     # standard error of the sd of an AR(1): sd sqrt((1 + phi^2) / (1 - phi^2) / 2 n)
     assert found.std() == pytest.approx(2.0, abs=4 * 2.0 * np.sqrt(9.5 / 80_000))
     assert np.corrcoef(found[1:], found[:-1])[0, 1] == pytest.approx(0.9, abs=4 * np.sqrt(0.19 / 40_000))
-    mixed = noise(time, sigma_N=2.0, phi=0.9, reference_step_s=0.01, white_share=0.5, rng=rng)
+    mixed = noise(time, phi=0.9, white_share=0.5, **told)
     assert np.corrcoef(mixed[1:], mixed[:-1])[0, 1] == pytest.approx(0.45, abs=0.03)
-    white = noise(time, sigma_N=2.0, phi=0.0, reference_step_s=0.01, white_share=0.0, rng=rng)
+    white = noise(time, phi=0.0, white_share=0.0, **told)
     assert np.corrcoef(white[1:], white[:-1])[0, 1] == pytest.approx(0.0, abs=4 / 200)
 
 
 def test_noise_on_unequal_steps_loses_correlation_with_time():
     rng = np.random.default_rng(9)
     time = np.concatenate([[0.0, 0.01], 0.03 + np.arange(8) * 0.01])
-    many = np.array(
-        [
-            noise(time, sigma_N=1.0, phi=0.8, reference_step_s=0.01, white_share=0.0, rng=rng)
-            for _ in range(20_000)
-        ]
-    )
+    told = {"sigma_N": 1.0, "phi": 0.8, "reference_step_s": 0.01, "white_share": 0.0}
+    many = np.array([noise(time, **told, rng=rng) for _ in range(20_000)])
     correlation = np.corrcoef(many.T)
     # 0.8 over 10 ms, 0.8^2 over 20 ms; standard error of a correlation
     assert correlation[0, 1] == pytest.approx(0.8, abs=4 * 0.36 / np.sqrt(20_000))
