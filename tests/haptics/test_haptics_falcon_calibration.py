@@ -125,11 +125,8 @@ def test_motor_clamp_bounds_the_force_even_of_the_worst_constant():
     directions = random.normal(size=(300, 3))
     directions *= 0.04 * random.uniform(size=(300, 1)) / np.linalg.norm(directions, axis=1)[:, None]
     places = directions + np.array([0.0, 0.0, 0.130])
-    worst = max(
-        float(np.linalg.norm(rates(place, geometry), axis=0).max())
-        for geometry in kinematics.GEOMETRIES.values()
-        for place in places
-    )
+    all_rates = [[rates(place, one) for place in places] for one in kinematics.GEOMETRIES.values()]
+    worst = float(np.linalg.norm(all_rates, axis=-2).max())
     # 5 N along the worst direction, at 3460 units for one N m, must fit under it, and not much more
     assert worst * 5.0 * 3460.0 == pytest.approx(clamp, rel=0.05)
     assert uncalibrated.clamp_units <= clamp

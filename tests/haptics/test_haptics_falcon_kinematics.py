@@ -12,14 +12,7 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.falcon import kinematics
-from tissueid.haptics.falcon.kinematics import (
-    DEFAULT_GEOMETRY,
-    Geometry,
-    forward,
-    inverse,
-    motor_units,
-    torque,
-)
+from tissueid.haptics.falcon.kinematics import DEFAULT_GEOMETRY, forward, inverse, motor_units, torque
 
 #: Counts of the legs' stops.
 STOP = 1600
@@ -27,12 +20,12 @@ MIDDLE = np.array([0.0, 0.0, 0.130])
 both = pytest.mark.parametrize("geometry", kinematics.GEOMETRIES.values(), ids=list(kinematics.GEOMETRIES))
 
 
-def stops(geometry: Geometry) -> tuple[float, float]:
+def stops(geometry: kinematics.Geometry) -> tuple[float, float]:
     zero = math.radians(geometry.zero_angle_deg)
     return zero - STOP * geometry.radians_per_count, zero + STOP * geometry.radians_per_count
 
 
-def reachable(geometry: Geometry, count: int, seed: int) -> FloatArray:
+def reachable(geometry: kinematics.Geometry, count: int, seed: int) -> FloatArray:
     """Positions from everywhere within the stops, shape (count, 3)."""
     random = np.random.default_rng(seed)
     (low, high), block, angles = stops(geometry), geometry.block(), np.empty(3)
@@ -52,7 +45,7 @@ def working_sphere(count: int, seed: int) -> FloatArray:
     return np.asarray(MIDDLE + 0.047 * random.uniform(size=(count, 1)) ** (1 / 3) * direction)
 
 
-def jacobian(position: FloatArray, geometry: Geometry = DEFAULT_GEOMETRY) -> FloatArray:
+def jacobian(position: FloatArray, geometry: kinematics.Geometry = DEFAULT_GEOMETRY) -> FloatArray:
     """``dp/dtheta`` (row: coordinate; column: leg) [m/rad]: torques of one newton along each axis."""
     return np.array([torque(position, push, geometry=geometry) for push in np.eye(3)])
 

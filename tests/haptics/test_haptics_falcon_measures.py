@@ -217,11 +217,8 @@ def test_a_plane_is_fitted_exactly_and_noise_of_the_forces_is_its_standard_error
 
 def test_a_guided_session_carries_what_was_measured_unless_the_scene_says_otherwise():
     device = FalconDevice(calibration=KNOWN)
-    plan = replace(
-        load_scene("hip-resurfacing").guidance,
-        weight_N=(0.0, 0.0, 0.0),
-        weight_slope_N_per_m=((0.0,) * 3,) * 3,
-    )
+    hip = load_scene("hip-resurfacing").guidance
+    plan = replace(hip, weight_N=(0.0,) * 3, weight_slope_N_per_m=((0.0,) * 3,) * 3)
     carried = _carried(plan, device, assumed=False)
     there = WEIGHT_N + SLOPE @ (np.array(plan.entry_m) - measure.MIDDLE_M)
     np.testing.assert_allclose(carried.weight_N, there, atol=1e-12)

@@ -216,18 +216,10 @@ MOVES = {
     (State.OPEN, machine.FIRMWARE_OK): State.FIRMWARE,
     (State.FIRMWARE, machine.HOME): State.HOMING,
     **{(state, machine.SHUT): State.CLOSED for state in State},
-    **{
-        (state, event): State.FAULT
-        for state in State
-        for event in (machine.PARENT_DIED, machine.TRANSPORT_LOST)
-        if state is not State.CLOSED
-    },
+    **{(state, machine.PARENT_DIED): State.FAULT for state in State if state is not State.CLOSED},
+    **{(state, machine.TRANSPORT_LOST): State.FAULT for state in State if state is not State.CLOSED},
     # ENGAGED damps first
-    **{
-        (state, machine.HEARTBEAT_LOST): State.FAULT
-        for state in State
-        if state not in {State.CLOSED, State.ENGAGED}
-    },
+    **{(state, machine.HEARTBEAT_LOST): State.FAULT for state in {*State} - {State.CLOSED, State.ENGAGED}},
 }
 
 

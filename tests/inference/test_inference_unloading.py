@@ -26,15 +26,9 @@ RETRACT = Recipe(
 #: Four loops without any hold: the tool lets go in each, and comes back before the surface has risen.
 CYCLIC = replace(RETRACT, name="cyclic", logs=(Log("loops", tuple(Move(z, 240.0) for z in (4.0, 0.0) * 4)),))
 SLOW = replace(CYCLIC, name="slow", branches=(Branch((STIFFNESS,), 2.0),))
-SEVERAL = replace(
-    RETRACT,
-    name="several",
-    logs=(
-        RETRACT.logs[0],
-        Log("slow", (Move(4.0, 60.0), Hold(3.0), Move(0.0, 60.0), Hold(1.0))),
-        Log("loops", tuple(Move(z, 600.0) for z in (3.0, 0.0) * 4)),
-    ),
-)
+SLOWER = Log("slow", (Move(4.0, 60.0), Hold(3.0), Move(0.0, 60.0), Hold(1.0)))
+FASTER = Log("loops", tuple(Move(z, 600.0) for z in (3.0, 0.0) * 4))
+SEVERAL = replace(RETRACT, name="several", logs=(*RETRACT.logs, SLOWER, FASTER))
 
 
 def fitted(plan, seed, *, unloading=True, **options):

@@ -38,42 +38,21 @@ def shown(**made: Any) -> MeasuredPush:
 
 
 REASONS: dict[str, tuple[dict[str, Any], str, str]] = {
-    "saturated cell": (
-        {"stop_force_N": 22.0},
-        "repeat",
-        r"the force stands at 22 N for \d+ samples.*Take a larger load cell, or less depth",
-    ),
-    "no air": (
-        {"air_mm": 0.0, "zero_N": 0.3},
-        "good",
-        r"no air before contact: depth known to [\d.]+ % if the force was zeroed in air\. Start in air",
-    ),
-    "overshoot": (
-        {"overshoot_mm": 0.2},
-        "look",
-        r"displacement overshoots its hold by 0\.2 mm .*Tune the controller, if it is large",
-    ),
-    "short hold": (
-        {"tau_s": 4.0, "hold_s": 6.0},
-        "look",
-        r"hold too short: 6(\.0\d)? s for a relaxation time of (4|4\.\d|3\.9) s; hold 12 s or longer",
-    ),
-    "few samples in the ramp": (
-        {"rate_Hz": 4.0, "speed": 2.5, "brake_s": 0.0, "air_mm": 4.0},
-        "look",
-        r"sampling too slow: [78] samples in a ramp of [\d.]+ s; take \d+ Hz",
-    ),
-    "few samples in the relaxation": (
-        {"rate_Hz": 10.0, "tau_s": 0.12, "brake_s": 0.0},
-        "look",
-        r"sampling too slow: a relaxation time of 0\.1\d* s, samples 0\.1 s apart; take \d+ Hz",
-    ),
-    "drift": (
-        {"drift_N_per_s": 0.1, "air_mm": 6.0},
-        "look",
-        r"force drifts by 0\.09\d+ N/s in air: .*then zero it",
-    ),
-}
+    "saturated cell": ({"stop_force_N": 22.0}, "repeat",
+        r"the force stands at 22 N for \d+ samples.*Take a larger load cell, or less depth"),
+    "no air": ({"air_mm": 0.0, "zero_N": 0.3}, "good",
+        r"no air before contact: depth known to [\d.]+ % if the force was zeroed in air\. Start in air"),
+    "overshoot": ({"overshoot_mm": 0.2}, "look",
+        r"displacement overshoots its hold by 0\.2 mm .*Tune the controller, if it is large"),
+    "short hold": ({"tau_s": 4.0, "hold_s": 6.0}, "look",
+        r"hold too short: 6(\.0\d)? s for a relaxation time of (4|4\.\d|3\.9) s; hold 12 s or longer"),
+    "few samples in the ramp": ({"rate_Hz": 4.0, "speed": 2.5, "brake_s": 0.0, "air_mm": 4.0}, "look",
+        r"sampling too slow: [78] samples in a ramp of [\d.]+ s; take \d+ Hz"),
+    "few samples in the relaxation": ({"rate_Hz": 10.0, "tau_s": 0.12, "brake_s": 0.0}, "look",
+        r"sampling too slow: a relaxation time of 0\.1\d* s, samples 0\.1 s apart; take \d+ Hz"),
+    "drift": ({"drift_N_per_s": 0.1, "air_mm": 6.0}, "look",
+        r"force drifts by 0\.09\d+ N/s in air: .*then zero it"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", REASONS)

@@ -21,7 +21,7 @@ from tissueid.model.servo_law import servo_law
 DEPTH_MM = 8.0
 #: Same examples in every run, none stored: a failure is reproduced by running the test again.
 settings.register_profile("model", deadline=None, derandomize=True, database=None)
-MODEL_SETTINGS = settings.get_profile("model")
+SETTINGS = settings.get_profile("model")
 
 #: Table 2 and the cubic through the peaks of Table 1.
 SEED_MODEL = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM)

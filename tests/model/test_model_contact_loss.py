@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from passive_tissues import DEPTH_MM, MODEL_SETTINGS, legs, passive_tissues, sampled, tissue, walked
+from passive_tissues import DEPTH_MM, SETTINGS, legs, passive_tissues, sampled, tissue, walked
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from tissue_stepper import TissueStepper
@@ -97,7 +97,7 @@ def test_force_is_clipped_exactly_where_the_law_would_pull() -> None:
 
 @pytest.mark.needs_jit
 @given(tissue_=passive_tissues(), corners=legs(-1.0, 9.0))
-@MODEL_SETTINGS
+@SETTINGS
 def test_contact_is_unilateral(tissue_, corners) -> None:
     """Force never negative, surface never above tool or rest level, a detached surface free of force."""
     model, theta = tissue_
@@ -234,7 +234,7 @@ def work(force: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, float]:
 
 @pytest.mark.needs_jit
 @given(tissue_=passive_tissues(), corners=legs(0.0, DEPTH_MM), back=st.floats(-2.5, 1.5))
-@MODEL_SETTINGS
+@SETTINGS
 def test_permanent_contact_never_returns_more_than_was_put_in(tissue_, corners, back) -> None:
     model, theta = tissue_
     assert model.is_passive(theta)
@@ -245,7 +245,7 @@ def test_permanent_contact_never_returns_more_than_was_put_in(tissue_, corners, 
 
 @pytest.mark.needs_jit
 @given(tissue_=passive_tissues(), corners=legs(-1.0, DEPTH_MM + 1.0), back=st.floats(-2.5, 1.5))
-@MODEL_SETTINGS
+@SETTINGS
 def test_contact_that_is_lost_and_found_never_returns_more_than_was_put_in(tissue_, corners, back) -> None:
     time, depth = sampled([*corners, (-0.5, 10.0**back)], PER_LEG)
     force = walked(*tissue_, time, depth)
@@ -267,7 +267,7 @@ U = np.linspace(0.0, 1.0, 2001)
 
 
 @given(q=st.lists(st.floats(-3.0, 3.0, width=32), min_size=1, max_size=3).map(np.array))
-@MODEL_SETTINGS
+@SETTINGS
 def test_minimum_is_the_smallest_of_a_dense_grid(q: np.ndarray) -> None:
     on_grid = np.polynomial.polynomial.polyval(U, q).min()
     minimum = minimum_on_unit(q)

@@ -9,16 +9,7 @@ import pytest
 from closed_forms import ramp_hold_state
 from hypothesis import given
 from hypothesis import strategies as st
-from passive_tissues import (
-    DEPTH_MM,
-    MODEL_SETTINGS,
-    SEED_MODEL,
-    SEED_THETA,
-    derivative,
-    legs,
-    sampled,
-    tissue,
-)
+from passive_tissues import DEPTH_MM, SEED_MODEL, SEED_THETA, SETTINGS, derivative, legs, sampled, tissue
 from scipy.integrate import solve_ivp
 from tissue_stepper import TissueStepper
 
@@ -277,7 +268,7 @@ def test_sensitivity_of_a_short_step_keeps_its_digits(ratio: float) -> None:
 
 
 @given(corners=legs(0.0, 8.0), tau=st.floats(-2.0, 1.0).map(lambda e: 10.0**e))
-@MODEL_SETTINGS
+@SETTINGS
 def test_state_is_bounded_by_the_largest_excursion(corners: list[tuple[float, float]], tau: float) -> None:
     # s = x - (1/tau) int exp(-(t-u)/tau) x du: between x - max x and x, for a path that starts at 0
     time, depth = sampled(corners, 5)

@@ -59,17 +59,11 @@ def drawn(rng: np.random.Generator) -> SimpleNamespace:
 def recipe(
     phi: np.ndarray, logs: tuple[Log, ...], rate_Hz: float, sigma_N: float, gain_sd: float = 0.0
 ) -> Recipe:
-    theta = COORDINATES.to_theta(phi)[0]
-    return Recipe(
-        "s",
-        logs,
-        rate_Hz=rate_Hz,
-        static=tuple(map(float, theta[:3])),
-        branches=(Branch((float(theta[3]),), float(theta[4])),),
-        sigma_N=sigma_N,
-        # log-normal of median 1: the tissue is the median of its logs
-        cv_both=float(np.sqrt(np.expm1(gain_sd**2))),
-    )
+    theta = tuple(map(float, COORDINATES.to_theta(phi)[0]))
+    tissue = {"static": theta[:3], "branches": (Branch(theta[3:4], theta[4]),)}
+    # log-normal of median 1: the tissue is the median of its logs
+    scatter = float(np.sqrt(np.expm1(gain_sd**2)))
+    return Recipe("s", logs, rate_Hz=rate_Hz, sigma_N=sigma_N, cv_both=scatter, **tissue)
 
 
 def held_out_error(guess: np.ndarray, truth: np.ndarray) -> float:
@@ -118,14 +112,8 @@ def cohort_of_recordings(seed: int, rate_Hz: float | None = None) -> SimpleNames
         for name, guess in guesses.items()
     }
     held = [int(one) for one in (first <= expected) & (expected <= last)]
-    return SimpleNamespace(
-        seed=seed,
-        rate_Hz=rate_Hz,
-        specimens=len(members),
-        converged=population.converged,
-        held=held,
-        **errors,
-    )
+    told = {"specimens": len(members), "converged": population.converged, "held": held, **errors}
+    return SimpleNamespace(seed=seed, rate_Hz=rate_Hz, **told)
 
 
 pytestmark = pytest.mark.slow

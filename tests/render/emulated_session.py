@@ -29,13 +29,9 @@ HOMED_S = 3.0
 
 def pressing(stiffness: float = 500.0) -> Hand:
     """A hand that is in the tissue from 0.75 s after homing on, and goes on deeper slowly."""
-    return Hand(
-        times_s=(0.0, 0.6, 0.75, 3.0),
-        positions_m=((0.0, 0.0, 0.133), (0.0, 0.0, 0.133), (0.0, 0.0, 0.122), (0.0, 0.0, 0.110)),
-        grips=(1.0,) * 4,
-        stiffness_N_per_m=stiffness,
-        damping_N_s_per_m=11.0,
-    )
+    places = tuple((0.0, 0.0, height) for height in (0.133, 0.133, 0.122, 0.110))
+    held = {"stiffness_N_per_m": stiffness, "damping_N_s_per_m": 11.0}
+    return Hand((0.0, 0.6, 0.75, 3.0), places, (1.0,) * 4, **held)
 
 
 class EmulatedSession(ExitStack):

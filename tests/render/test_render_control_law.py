@@ -25,18 +25,10 @@ HAND = Mechanics([[0.9, 0.1], [0.1, 0.6]], [[4.0, 0.0], [0.0, 3.0]], [[60.0, 5.0
 
 def learning(variant: str, scale: float, sign: int = 1, **changes: Any) -> simulation.ControlRun:
     """A loop of which sampling and delay leave next to nothing."""
-    settings = ControlSettings(
-        PAPER_A,
-        stiffness_scale=scale,
-        variant=variant,
-        gains=replace(LEARNING, adaptation_sign=sign),
-        disturbance=HUM,
-        rate_Hz=2e5,
-        substeps=1,
-        seconds=0.5,
-        unchecked=True,
-    )
-    settings = replace(settings, **changes)
+    gains = replace(LEARNING, adaptation_sign=sign)
+    fast = {"rate_Hz": 2e5, "substeps": 1, "seconds": 0.5, "unchecked": True, **changes}
+    settings = {"stiffness_scale": scale, "variant": variant, "gains": gains, "disturbance": HUM, **fast}
+    settings = ControlSettings(PAPER_A, **settings)
     return simulation.simulate(replace(settings, start_estimates=np.zeros(settings.estimated_truth().size)))
 
 
@@ -160,13 +152,8 @@ def radau(settings: ControlSettings, times: np.ndarray) -> np.ndarray:
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("variant", ["B", pytest.param("A", marks=pytest.mark.slow)])
 def test_the_sampled_loop_tends_to_the_solution_of_the_differential_equations(variant):
-    base = ControlSettings(
-        PAPER_A,
-        variant=variant,
-        gains=Gains(projection=False, sigma_floor=0.4),
-        push=Signal((8.0,), (4.0,), (1.0,)),
-        seconds=0.6,
-    )
+    gains, push = Gains(projection=False, sigma_floor=0.4), Signal((8.0,), (4.0,), (1.0,))
+    base = ControlSettings(PAPER_A, variant=variant, gains=gains, push=push, seconds=0.6)
     times = np.arange(600) / 1000.0
     right = radau(base, times)
     size = np.sqrt(np.mean(right**2))
@@ -175,10 +162,8 @@ def test_the_sampled_loop_tends_to_the_solution_of_the_differential_equations(va
         every = round(run.settings.rate_Hz / 1000.0)
         return float(np.sqrt(np.mean((run.position_m[::every, 0] - right) ** 2)) / size)
 
-    shares = [
-        off(simulation.simulate(replace(base, rate_Hz=rate)))
-        for rate in (1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
-    ]
+    rates = (1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
+    shares = [off(simulation.simulate(replace(base, rate_Hz=rate))) for rate in rates]
 
     assert all(later < 0.7 * earlier for earlier, later in pairwise(shares)), shares
     assert shares[-1] <= 0.01

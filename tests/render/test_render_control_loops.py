@@ -113,12 +113,9 @@ def test_the_bound_of_the_virtual_mass_has_its_closed_forms():
     massless = replace(table_3("B"), operator=control.Mechanics(0.0, 2.0, 30.0))
     assert control.virtual_mass_bound(massless) == 0.0
     # of several axes that don't mix the worst counts
-    two = control.ControlSettings(
-        PAPER_A,
-        variant="A",
-        device=control.Mechanics(np.diag([1.0, 2.0]), np.eye(2), np.eye(2)),
-        operator=control.Mechanics(np.diag([0.5, 1.7]), np.eye(2), np.eye(2)),
-    )
+    masses = ([1.0, 2.0], [0.5, 1.7])
+    device, operator = (control.Mechanics(np.diag(one), np.eye(2), np.eye(2)) for one in masses)
+    two = control.ControlSettings(PAPER_A, variant="A", device=device, operator=operator)
     assert control.virtual_mass_bound(two) == pytest.approx(1.7, rel=1e-9)
 
 
@@ -242,12 +239,9 @@ def largest_errors_mm(variant: str, operators: list[control.Mechanics], tissues:
     for operator in operators:
         for tissue in tissues:
             settings = control.ControlSettings(tissue, variant=variant, operator=operator)
-            settings = replace(
-                settings,
-                tool=control.VirtualTool(1.5 * control.virtual_mass_bound(settings)),
-                start_estimates=settings.estimated_truth(),
-                seconds=6.0,
-            )
+            tool = control.VirtualTool(1.5 * control.virtual_mass_bound(settings))
+            truth = settings.estimated_truth()
+            settings = replace(settings, tool=tool, start_estimates=truth, seconds=6.0)
             for task in ("sustained", "free-contact"):
                 run = simulate(settings.task(task))
                 found.append(np.inf if run.diverged_s is not None else float(run.error_mm.max()))
@@ -297,9 +291,8 @@ def test_a_hand_on_the_simulated_device_feels_the_tissue_through_the_guard(scale
 
 
 def test_the_admittance_type_bears_what_impedance_rendering_refuses_on_that_device():
-    stiff = admittance.device_settings(
-        PAPER_A, admittance.simulated_device(), stiffness_scale=100.0
-    ).largest_tangent()
+    device = admittance.simulated_device()
+    stiff = admittance.device_settings(PAPER_A, device, stiffness_scale=100.0).largest_tangent()
     own = check_before_force(PAPER_A, ASSUMED_DEVICE).scaling.device_stiffness_N_per_m
 
     # at which a hand is led to 0.3 mm all the same

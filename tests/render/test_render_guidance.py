@@ -115,16 +115,11 @@ def test_the_force_is_that_of_a_continuous_reference_with_the_same_filter() -> N
     worst, peak = 0.0, 0.0
     for k in range(1, times.size):
         force = guided.step(place(times[k]), TISSUE_DT)
-        x, y, z = place(times[k])
+        *beside, z = place(times[k])
         share = math.exp(-0.5 * (z / pull.reach_m) ** 2)
-        stiffness = 100.0 + 400.0 * share
-        expected = np.array(
-            [
-                -stiffness * (x + pull.tau_s * rate[0, k]),
-                -stiffness * (y + pull.tau_s * rate[1, k]),
-                0.5 * 400.0 * share * z / pull.reach_m**2 * (x * x + y * y),
-            ]
-        )
+        lateral = -(100.0 + 400.0 * share) * (beside + pull.tau_s * rate[:, k])
+        axial = 0.5 * 400.0 * share * z / pull.reach_m**2 * np.dot(beside, beside)
+        expected = np.append(lateral, axial)
         worst = max(worst, float(np.abs(force - expected).max()))
         peak = max(peak, float(np.abs(expected).max()))
     assert worst <= 0.005 * peak
@@ -148,12 +143,8 @@ def test_an_axis_anywhere_is_the_same_environment_turned() -> None:
 
 
 def test_the_weight_is_carried_everywhere() -> None:
-    plan = replace(
-        PULL,
-        weight_N=(0.0, 0.0, 1.2),
-        weight_slope_N_per_m=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, -4.0)),
-        pull=Pull(0.0, 0.0, 0.02),
-    )
+    weight = {"weight_N": (0.0, 0.0, 1.2), "weight_slope_N_per_m": ((0.0,) * 3, (0.0,) * 3, (0.0, 0.0, -4.0))}
+    plan = replace(PULL, pull=Pull(0.0, 0.0, 0.02), **weight)
     np.testing.assert_allclose(Guided(plan).step(np.array([0.0, 0.0, 0.05]), 0.0), [0.0, 0.0, 1.0])
 
 

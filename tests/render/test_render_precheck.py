@@ -93,10 +93,8 @@ def test_what_the_clamp_takes_is_told_before() -> None:
 
 
 def test_travel_the_device_does_not_have_is_remarked() -> None:
-    assert any(
-        "can't be reached" in remark
-        for remark in check_before_force(PAPER_A, replace(STRONG, travel_m=0.02)).remarks
-    )
+    remarks = check_before_force(PAPER_A, replace(STRONG, travel_m=0.02)).remarks
+    assert any("can't be reached" in remark for remark in remarks)
 
 
 @pytest.mark.parametrize(

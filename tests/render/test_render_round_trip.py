@@ -36,12 +36,9 @@ def at_the_grip(seed: int) -> np.ndarray:
     """Time [s], depth [mm] and force [N] of the tissue, by the arm's truth."""
     rng = np.random.default_rng([44, seed])
     surface = np.array([*rng.uniform(-2e-3, 2e-3, 2), 0.1445 + rng.uniform(-1e-3, 1e-3)])
-    with EmulatedSession(
-        hand=scripted_hand(
-            SCRIPT, motion_scale=5.0, surface_m=surface, inward=np.array([0.0, 0.0, -1.0]), rest_s=REST_S
-        ),
-        surface_z=float(surface[2]),
-    ) as session:
+    where = {"surface_m": surface, "inward": np.array([0.0, 0.0, -1.0])}
+    hand = scripted_hand(SCRIPT, motion_scale=5.0, rest_s=REST_S, **where)
+    with EmulatedSession(hand=hand, surface_z=float(surface[2])) as session:
         scale = session.scale
         assert scale.motion == 5.0
         truth = []

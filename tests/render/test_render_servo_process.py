@@ -30,14 +30,8 @@ from tissueid.rendering.servo_spawn import spawn_servo
 PRESS = Hand((0.0, 1.2, 1.5, 60.0), (CENTRE_M, CENTRE_M, DEEP_M, DEEP_M), (1.0,) * 4)
 PLAN = ServoPlan("sim", {"real_time": True, "hand": PRESS})
 #: Ctrl-Z would stop the process, Ctrl-\ kill it, with the last force commanded; the others take their time.
-SIGNALS = [
-    signal.SIGTSTP,
-    signal.SIGQUIT,
-    *(
-        pytest.param(one, marks=pytest.mark.slow)
-        for one in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR1)
-    ),
-]
+OTHERS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR1)
+SIGNALS = [signal.SIGTSTP, signal.SIGQUIT, *(pytest.param(one, marks=pytest.mark.slow) for one in OTHERS)]
 #: Long enough for a loaded machine.
 PATIENCE_S = 20.0
 

@@ -205,28 +205,12 @@ def drawn_session(seed: int, *, pool_size: int, controller: bool = False) -> Fig
     arm = Arm(mass_kg=rng.uniform(0.15, 0.4), damping_N_s_per_m=damping, friction_N=rng.uniform(0.05, 0.1))
     held, shake = 2.0 * rng.uniform(0.2, 0.8) * np.sqrt(stiffness * 0.25), rng.uniform(5e-5, 5e-4)
     hz, phase, rest_s = rng.uniform(6.0, 12.0), rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.1, 0.7)
-    device = SimulatedDevice(
-        LIMITS,
-        arm=arm,
-        hand=replace(
-            preset(
-                hand,
-                surface_m=np.array(CENTRE_M),
-                inward=INWARD,
-                depth_m=depth,
-                speed_m_per_s=speed,
-                rest_s=rest_s,
-            ),
-            stiffness_N_per_m=stiffness,
-            damping_N_s_per_m=held,
-            tremor_m=shake if hand == "tremor" else 0.0,
-            tremor_hz=hz,
-            tremor_phase=phase,
-        ),
-        quantum_m=rng.uniform(40e-6, 90e-6),
-        delay_ticks=delay,
-        seed=seed,
-    )
+    way = {"surface_m": np.array(CENTRE_M), "inward": INWARD, "depth_m": depth, "speed_m_per_s": speed}
+    tremor = {"tremor_m": shake if hand == "tremor" else 0.0, "tremor_hz": hz, "tremor_phase": phase}
+    led = preset(hand, **way, rest_s=rest_s)
+    led = replace(led, stiffness_N_per_m=stiffness, damping_N_s_per_m=held, **tremor)
+    count_m = rng.uniform(40e-6, 90e-6)
+    device = SimulatedDevice(LIMITS, arm=arm, hand=led, quantum_m=count_m, delay_ticks=delay, seed=seed)
     ticks = round(device.hand.duration_s / PERIOD_S) + 200
     steps = np.clip(rng.normal(PERIOD_S, 3e-5, ticks), 0.8e-3, 1.2e-3)
     drawn = {"resting": hand in RESTING, "near": near, "share_of_bound": needs[delay] * scale / damping}

@@ -15,19 +15,10 @@ from tissueid.model.channels import loading_force
 from tissueid.model.grammar import parsed
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.priors import CALIBRATION_DEFAULTS, Priors, SpreadPrior
+from tissueid.selfcheck import truth as draws
 from tissueid.selfcheck.protocol import Centre, Protocol, of_bundle, of_program
 from tissueid.selfcheck.tissue import TissueCheck, tissue_check
-from tissueid.selfcheck.truth import (
-    ProtocolLog,
-    Truth,
-    Widths,
-    centred_priors,
-    force_points,
-    noise,
-    numbers_of,
-    prior_words,
-    recorded_force,
-)
+from tissueid.selfcheck.truth import ProtocolLog, Widths, centred_priors, noise, recorded_force
 from tissueid.synth import Hold, Log, Move
 from tissueid.synth.recipe import Branch
 from tissueid.synth.simulate import Body, tissue_force
@@ -130,10 +121,10 @@ def test_priors_that_make_no_tissue_are_refused(stated, says):
 
 
 def test_numbers_are_those_of_the_contact_model():
-    points = force_points(8.0, (0.5, 8.0))
+    points = draws.force_points(8.0, (0.5, 8.0))
     assert points == ((2.0, 8.0), (4.0, 2.0), (8.0, 0.5))
     theta = np.array([THETA, THETA * 1.1])
-    numbers = numbers_of(MODEL, theta, points)
+    numbers = draws.numbers_of(MODEL, theta, points)
     for depth, speed in points:
         expected = [loading_force(MODEL, row, np.array([depth]), speed_mm_s=speed)[0] for row in theta]
         # the same closed form, summed in another order
@@ -145,12 +136,12 @@ def test_numbers_are_those_of_the_contact_model():
 
 
 def test_every_prior_is_said_with_its_numbers():
-    words = prior_words(priors_for(), correlated=True, pooling="partial", defects=True)
+    words = draws.prior_words(priors_for(), correlated=True, pooling="partial", defects=True)
     assert words["static_1_N_per_mm"].startswith("normal, 20 ± ")
     assert words["relaxation_time_s_b2"] == "log-normal, median 0.6, sd of ln 0.4"
     assert words["gain_sd"] == "half-normal, scale 0.05"
     assert words["force_filter_s"] == "normal, 0 ± 0.005, not below 0"
-    assert "phi" not in prior_words(priors_for(), correlated=False, pooling="shared", defects=False)
+    assert "phi" not in draws.prior_words(priors_for(), correlated=False, pooling="shared", defects=False)
 
 
 def check_of(name: str, *, stated: Priors | None = None, widths: Widths | None = None) -> TissueCheck:
@@ -271,7 +262,7 @@ def test_there_is_no_force_in_air_and_none_of_an_approach():
 
 
 def test_trials_are_what_a_machine_exports():
-    truth = Truth(
+    truth = draws.Truth(
         HOLD_THETA, np.array([1.0, 1.1]), np.array([1.0, 1.5]), np.array([0.0, 0.02]), 0.3, 0.0, 0.05
     )
     logs = (log(), ProtocolLog("later", TIME - 1.0, DEPTH - 4.0, 0.01))

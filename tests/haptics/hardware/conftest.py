@@ -54,12 +54,8 @@ def falcon(request: pytest.FixtureRequest) -> Iterator[FalconDevice]:
     limits = limits_of(calibration)
     assert limits.clamp_N <= 2.0 or calibration.confirmed
     assert limits.dead_man
-    device = FalconDevice(
-        limits,
-        port=request.config.getoption("--falcon-port"),
-        firmware=request.config.getoption("--falcon-firmware"),
-        calibration=calibration,
-    )
+    port, firmware = map(request.config.getoption, ("--falcon-port", "--falcon-firmware"))
+    device = FalconDevice(limits, port=port, firmware=firmware, calibration=calibration)
     device.tell = tell
     with device:
         yield device
