@@ -78,8 +78,7 @@ def test_homing_tells_what_to_do_and_ends_pulled_out():
         # one count is up to 50 um, and the two kinematics share no code
         assert sample.position_m == pytest.approx(falcon.position_m, abs=1e-4)
         assert falcon.lamps == {"green"}
-    assert falcon.lamps == {"red"}
-    assert falcon.last_motors == (0, 0, 0)
+    assert (falcon.lamps, falcon.last_motors) == ({"red"}, (0, 0, 0))
 
 
 def test_force_on_the_wire_pushes_the_emulated_grip_the_way_it_was_asked():
@@ -102,8 +101,7 @@ def test_homing_that_never_comes_ends_with_the_missing_legs():
     with pytest.raises(DeviceError, match=missing), device:
         device.home()
     assert device.state is State.CLOSED
-    assert falcon.last_motors == (0, 0, 0)
-    assert falcon.lamps == {"red"}
+    assert (falcon.last_motors, falcon.lamps) == ((0, 0, 0), {"red"})
 
 
 def test_a_grip_that_stays_in_is_not_armed_for_force(monkeypatch):

@@ -149,8 +149,7 @@ class TestFault:
         guarded.ticks(10, (0.0, 0.0, 2.0))
         force = np.array([0.0, 0.0, 2.0])
         force[axis] = bad
-        out = guarded.tick(force)
-        assert out == pytest.approx([0.0, 0.0, 2.0 * 19 / 20], rel=1e-12)
+        assert guarded.tick(force) == pytest.approx([0.0, 0.0, 2.0 * 19 / 20], rel=1e-12)
         assert guarded.fault == Fault.NOT_A_NUMBER
 
     def test_the_first_fault_is_the_one_reported_and_nothing_leads_out_of_it_but_shutting(self, guarded):
@@ -169,8 +168,7 @@ class TestFault:
         assert outs[-1] == pytest.approx([-FREE.damping_N_s_per_m * 0.1, 0.0, 0.0], abs=1e-12)
         assert guarded.state == State.ENGAGED
         guarded.ticks(100, (0.0, 0.0, 2.0))
-        assert guarded.state == State.FAULT
-        assert guarded.fault == Fault.HEARTBEAT
+        assert (guarded.state, guarded.fault) == (State.FAULT, Fault.HEARTBEAT)
 
 
 class TestRelease:

@@ -57,8 +57,7 @@ clamps = st.sampled_from([0.3, 2.0, 5.0, 10.0])
 def run(clamp: float, ticks: list[dict], start: State = State.ENGAGED):
     """Every tick's sent force, state and dt, from a guard in a state, engaged with a force on."""
     guarded = Guarded(replace(FREE, clamp_N=clamp, rms_limit_N=clamp, dead_man=True)).to(float(start))
-    before = guarded.tick((0.0, 0.0, 1.0), buttons=4)
-    sent, states, times = [before], [guarded.state], [1e-3]
+    sent, states, times = [guarded.tick((0.0, 0.0, 1.0), buttons=4)], [guarded.state], [1e-3]
     for words in ticks:
         seen = {key: words[key] for key in ("reply", "homed", "buttons", "velocity", "penetration")}
         if words["event"] is not None:

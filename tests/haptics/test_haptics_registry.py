@@ -273,8 +273,7 @@ def guarded(step, seed: int) -> np.ndarray:
 
 def forces_of(tissue: Tissue) -> np.ndarray:
     """Forces on presses, releases faster than the tissue follows, in air, and beyond what was identified."""
-    rng = np.random.default_rng(2)
-    times = np.cumsum(rng.uniform(2e-4, 3e-3, SAMPLES))
+    times = np.cumsum(np.random.default_rng(2).uniform(2e-4, 3e-3, SAMPLES))
     depth = 4.0 * np.sin(9.0 * times) + 3.0 * np.sin(2.0 * times) + 2.5 * np.sin(40.0 * times)
     block = tissue_block(tissue, Plane(), force_scale=1.0, motion_scale=1.0)
     return walk(block, pressed(depth, motion=1.0), times)[1][:, 3]

@@ -160,8 +160,7 @@ def test_it_is_where_the_log_says_and_between_records_on_their_line(monkeypatch)
     device = player(monkeypatch, records, clock=lambda: now[0])
     own = records["time_s"] - records["time_s"][0]
     with device:
-        first = device.read()
-        np.testing.assert_array_equal(first.position_m, records["position_m"][0])
+        np.testing.assert_array_equal(device.read().position_m, records["position_m"][0])
         for at in (20, 77, 150):
             now[0] = 3.0 + own[at]
             np.testing.assert_allclose(device.read().position_m, records["position_m"][at], atol=1e-15)

@@ -173,11 +173,9 @@ def test_what_is_left_out_is_a_speed_a_depth_a_log_or_a_stretch(rows, kind, of):
 
 def test_the_error_of_what_was_left_out_is_that_of_fits_without_it():
     """One step from the optimum, against fits to the other logs."""
-    recipe = small_recipe(branches=ONE, logs=LOGS, sigma_N=0.3)
-    handles = handles_of(recipe, 4)
+    handles = handles_of(small_recipe(branches=ONE, logs=LOGS, sigma_N=0.3), 4)
     ours = identified(handles, pooling="shared", noise="white")
-    facts = [handle.facts for handle in handles]
-    groups = choice.groups_of(ours.system, facts)
+    groups = choice.groups_of(ours.system, [handle.facts for handle in handles])
     assert groups.kind == "speed"
     found = choice.held_out(ours.system, ours.optimum, groups)
     for number, error in enumerate(found):

@@ -110,8 +110,7 @@ FRAME = "frame_compliance_mm_per_N"
 )
 def test_a_machine_that_is_unlikely_is_named_with_its_size(machine, name, words):
     flag = machine_flag(np.array(machine), CALIBRATION_DEFAULTS, force_N=260.0, depth_mm=8.0)
-    assert flag.message == f"the fit needs {words}"
-    assert flag.values["name"] == name
+    assert (flag.message, flag.values["name"]) == (f"the fit needs {words}", name)
 
 
 def test_an_ordinary_machine_and_a_stated_soft_frame_are_not():

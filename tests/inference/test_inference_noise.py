@@ -268,8 +268,7 @@ def test_one_branch_on_meat_misses_more_than_noise_in_nine_of_ten_sheets(shared_
 def test_the_corner_of_the_retract_is_no_noise_of_the_hold() -> None:
     sigma, time = 1e-4, np.arange(0.0, 40.0, 0.1)
     # the tool turns back between two samples
-    times = [0.0, 5.0, 10.0, 30.04, 32.0, 40.0]
-    depth = np.interp(time, times, [-1.0, -1.0, 3.0, 3.0, -1.0, -1.0])
+    depth = np.interp(time, [0.0, 5.0, 10.0, 30.04, 32.0, 40.0], [-1.0, -1.0, 3.0, 3.0, -1.0, -1.0])
     into, held = np.maximum(depth, 0.0), np.clip(time - 10.0, 0.0, None)
     force = into * (1.0 + 0.2 * np.exp(-held))
     force += sigma * np.random.default_rng(2).standard_normal(time.size)

@@ -39,8 +39,7 @@ CALIBRATED = Priors(
 
 
 def fitted(recipe=ONE, seed=7, machine=True, priors=CALIBRATED, **options):
-    handles = handles_of(recipe, seed, sd_mm=0.01)
-    return state_of(handles, priors=priors, machine=machine, **options)
+    return state_of(handles_of(recipe, seed, sd_mm=0.01), priors=priors, machine=machine, **options)
 
 
 def sampled(state, *, instrument=True, seed=3, priors=CALIBRATED):
@@ -220,8 +219,7 @@ def test_seeds_agree_on_a_generalised_posterior_at_its_walls():
 
 def test_statistical_draws_have_the_machine_at_its_mean():
     at = SpecimenTarget(fitted().identified, machine=True)
-    rng = np.random.default_rng(1)
-    vectors = at.mode + rng.standard_normal((500, at.mode.size)) * 0.01
+    vectors = at.mode + np.random.default_rng(1).standard_normal((500, at.mode.size)) * 0.01
     k = at.law.times
     vectors[:, 0] += 5.0 * (vectors[:, k] - at.mode[k])
     found = _at_mean_machine(at, vectors)

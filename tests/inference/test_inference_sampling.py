@@ -67,8 +67,7 @@ def _every_look(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_normal_has_its_moments_within_their_errors():
     found = sample(correlated(), draws=DRAWS, seed=1)
     assert found.converged
-    assert found.chain.shape == (WALKERS, STEPS, 4)
-    assert found.log_density.shape == (WALKERS, STEPS)
+    assert (found.chain.shape, found.log_density.shape) == ((WALKERS, STEPS, 4), (WALKERS, STEPS))
     assert 0.2 < found.acceptance < 0.95
     draws = found.chain.reshape(-1, 4)
     sd = np.sqrt(np.diag(COVARIANCE))
@@ -253,8 +252,7 @@ def test_equal_weights_are_worth_all_their_draws_and_none_outside():
 
 
 def test_a_proposal_that_is_wide_enough_gives_the_moments():
-    rng = np.random.default_rng(1)
-    z = 1.5 * rng.standard_normal(20_000)
+    z = 1.5 * np.random.default_rng(1).standard_normal(20_000)
     found = smoothed(-0.5 * z**2 + 0.5 * (z / 1.5) ** 2)
     # weights of a normal under one of sd s are bounded: E w^2 = s^2 / sqrt(2 s^2 - 1), worth 0.83
     assert found.worth / 20_000 == pytest.approx(np.sqrt(2.0 * 2.25 - 1.0) / 2.25, rel=0.02)
@@ -274,8 +272,7 @@ def test_the_shape_of_a_pareto_tail_is_found(shape):
 
 
 def test_a_single_giant_is_cut_down_to_its_tail():
-    rng = np.random.default_rng(3)
-    log_weight = np.append(0.3 * rng.standard_normal(1_000), 12.0)
+    log_weight = np.append(0.3 * np.random.default_rng(3).standard_normal(1_000), 12.0)
     found = smoothed(log_weight)
     raw = np.exp(log_weight - log_weight.max())
     assert 1.0 / ((raw / raw.sum()) ** 2).sum() < 1.5
@@ -342,8 +339,7 @@ def weighed(target, seed=1, count=6_000):
     cut = cut_normal(target.centre, target.rows, target.walls, target.likely, rng)
     mixture, efficiency = learn_mixture(target, cut, rng)
     z = mixture.draw(count, rng)
-    found = smoothed(target.densities(z) - mixture.log_density(z))
-    return z, found, efficiency
+    return z, smoothed(target.densities(z) - mixture.log_density(z)), efficiency
 
 
 def test_a_mixture_learns_a_banana():

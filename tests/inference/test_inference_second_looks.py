@@ -84,8 +84,7 @@ def test_optimum_and_standard_errors_are_those_of_lmfit_on_raw_samples(degree):
 @pytest.mark.parametrize("pooling", ["shared", "partial", "scaled"])
 def test_both_optimisers_end_at_the_same_optimum(pooling):
     recipe = small_recipe(cv_both=0.1 if pooling != "shared" else 0.0)
-    ours = identified(handles_of(recipe, 2), pooling=pooling)
-    said, _ = both_optimisers(ours)
+    said, _ = both_optimisers(identified(handles_of(recipe, 2), pooling=pooling))
     assert said["agree"] is True
     assert said["lm_converged"]
     # steps end where they are a hundredth of a standard error

@@ -64,8 +64,7 @@ def test_shared_logs_keep_a_contact_each():
     handles = handles_of(small_recipe(branches=(TRUE,), sigma_N=0.05), 5, sd_mm=0.03)
     contact = handles[0].segmentation.contact
     late = replace(contact, displacement_mm=contact.displacement_mm + 0.03)
-    trial = handles[0].load()
-    moved = handle_for(trial, replace(handles[0].segmentation, contact=late))
+    moved = handle_for(handles[0].load(), replace(handles[0].segmentation, contact=late))
     found = state_of([moved, *handles[1:]], machine=True, static="shared").fit
     assert found.trials[0].contact_offset_mm == pytest.approx(-0.03, abs=0.004)
     assert max(abs(one.contact_offset_mm) for one in found.trials[1:]) <= 0.004
@@ -85,8 +84,7 @@ def test_scatter_between_logs_is_taken_up_by_each_log(static):
 
 
 def test_one_log_has_nothing_to_pool():
-    small = small_recipe(branches=(TRUE,), logs=small_recipe().logs[-1:])
-    found = fit(small)
+    found = fit(small_recipe(branches=(TRUE,), logs=small_recipe().logs[-1:]))
     assert found.model.static_pooling == "shared"
     assert len(found.trials) == 1
     assert found.trials[0].gain == 1.0
@@ -113,8 +111,7 @@ def estimate(recipe, seed, pooling, *, branches=1, degree=0):
 
 @pytest.mark.parametrize("pooling", POOLINGS)
 def test_values_come_in_natural_units(pooling):
-    recipe = small_recipe(branches=(GROWING,), sigma_N=0.01)
-    found = by_name(estimate(recipe, 0, pooling, degree=1))
+    found = by_name(estimate(small_recipe(branches=(GROWING,), sigma_N=0.01), 0, pooling, degree=1))
     expected = {
         "static_1_N_per_mm": (20.0, "N/mm"),
         "static_2_N_per_mm2": (-1.2, "N/mm^2"),

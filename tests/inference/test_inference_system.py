@@ -130,14 +130,12 @@ def test_gain_contact_times_and_shape_of_a_log_are_its_own():
 
 def test_the_load_channel_is_filtered_and_late():
     time, depth = ramp_hold(1000.0, 4.0, 4.0, 1.0)
-    log = log_data(time, depth, force_of(time, depth))
-    system = system_of([log], LAW, whole=True)
+    system = system_of([log_data(time, depth, force_of(time, depth))], LAW, whole=True)
     found = system.predict(point_of(LAW, THETA, machine=(0.0, 0.0005, 0.01)))
     fine = np.arange(20 * (time.size - 1) + 1) / 20_000.0
     exact = force_of(fine, np.minimum(4.0 * fine, 4.0))
     decay = np.exp(-1.0 / 20_000.0 / 0.01)
-    lagged = lfilter([1.0 - decay], [1.0, -decay], exact)
-    expected = np.interp(time - 0.0005, fine, lagged)
+    expected = np.interp(time - 0.0005, fine, lfilter([1.0 - decay], [1.0, -decay], exact))
     # a first-order rule on the fine grid is late by half of its step
     np.testing.assert_allclose(found, expected, atol=1e-3 * expected.max())
 
@@ -147,8 +145,7 @@ def test_a_frame_takes_its_share_of_the_travel():
     time, depth = ramp_hold(200.0, 4.0, 3.5, 3.0)
     force = force_of(time, depth)
     # the crosshead travels further than the tip, by what the frame gives
-    log = log_data(time, depth + compliance * force, force)
-    system = system_of([log], LAW, whole=True)
+    system = system_of([log_data(time, depth + compliance * force, force)], LAW, whole=True)
     point = point_of(LAW, THETA, machine=(compliance, 0.0, 0.0))
     np.testing.assert_allclose(system.predict(point), force, atol=1e-9 * force.max())
     # started from none of it, iterations end there

@@ -31,8 +31,7 @@ def one_log(**asked):
 
 
 def points(at, n=8, seed=3, size=0.5):
-    z = size * np.random.default_rng(seed).standard_normal((n, at.size))
-    return at.vectors(z)
+    return at.vectors(size * np.random.default_rng(seed).standard_normal((n, at.size)))
 
 
 def test_a_single_log_has_the_likelihood_of_its_samples_and_its_priors():
@@ -94,8 +93,7 @@ def test_correlated_noise_has_its_dense_covariance():
         covariance = 0.8 * np.exp(-np.abs(np.subtract.outer(mid, mid)) / time) + 0.2 * np.eye(n)
         covariance = covariance * np.exp(2.0 * one[at.places["ln_sigma"]])
         expected.append(multivariate_normal.logpdf(left, cov=covariance))
-    found = np.diff(at.density(x))[0]
-    assert found == pytest.approx(expected[1] - expected[0], abs=1e-6)
+    assert np.diff(at.density(x))[0] == pytest.approx(expected[1] - expected[0], abs=1e-6)
 
 
 def test_what_logs_have_for_themselves_is_integrated():
@@ -128,8 +126,7 @@ def test_what_logs_have_for_themselves_is_integrated():
         value += multivariate_normal.logpdf(system.force, mean, covariance, allow_singular=True)
         value -= 0.5 * system.within_N2 / sigma**2 + system.within_freedom * np.log(sigma)
         expected.append(value)
-    found = np.diff(at.density(x))[0]
-    assert found == pytest.approx(expected[1] - expected[0], abs=1e-4)
+    assert np.diff(at.density(x))[0] == pytest.approx(expected[1] - expected[0], abs=1e-4)
 
 
 def test_whitened_coordinates_are_those_of_the_curvature_within_the_passive_set():
@@ -217,8 +214,7 @@ def test_points_of_the_normal_within_the_walls_are_passive_tissues_wherever_cont
     assert moved.mean() > 0.1
     # at the mean of the machine, and nothing but what a wall asks for is moved
     np.testing.assert_allclose(central[:, :3], np.broadcast_to(inside[:, :3].mean(axis=0), (300, 3)))
-    contact = at.vectors(inside)[:, at.places["contact"]]
-    assert np.ptp(contact) > 0.0
+    assert np.ptp(at.vectors(inside)[:, at.places["contact"]]) > 0.0
 
 
 RECIPE = small_recipe(logs=small_recipe().logs[-1:])
@@ -407,7 +403,6 @@ def test_draws_reach_the_end_of_the_frames_valley():
         drawn = sample(at, draws=2_000, seed=0)
         vectors = at.vectors(drawn.chain.reshape(-1, at.size))
         np.testing.assert_allclose(drawn.vectors.reshape(vectors.shape), vectors, rtol=1e-9, atol=1e-12)
-        frame = vectors[:, at.law.times]
-        found.append(float(np.quantile(frame, 0.975)))
+        found.append(float(np.quantile(vectors[:, at.law.times], 0.975)))
     following, straight = found
     assert following > 0.002 > 0.001 > straight

@@ -57,8 +57,7 @@ def test_summary_of_a_good_fit():
     assert found.nrmsd.rmse_N == pytest.approx(0.2, rel=0.05)
     assert abs(found.residual_acf1) <= 0.05
     assert found.max_residual_fraction <= 0.02
-    assert found.gain == 1.0
-    assert found.speed_mm_s == 2.0
+    assert (found.gain, found.speed_mm_s) == (1.0, 2.0)
     assert found.depth_mm == pytest.approx(4.0)
     assert found.n_samples == totals.samples == 5000
     assert found.flags == ()

@@ -34,8 +34,7 @@ def in_air_trial(speed=2.0, contact_mm=0.505, n=400):
     """Approach through air, ramp to a depth of 4 mm below contact, then hold."""
     time = np.arange(n) * STEP
     displacement = np.minimum(speed * time, 4.0 + contact_mm)
-    depth = np.maximum(displacement - contact_mm, 0.0)
-    return Trial("s", time, displacement, 10.0 * depth)
+    return Trial("s", time, displacement, 10.0 * np.maximum(displacement - contact_mm, 0.0))
 
 
 def segmented(trial, *, contact_mm=0.505, sd=0.05, extra=(), sign=1):
@@ -48,8 +47,7 @@ def segmented(trial, *, contact_mm=0.505, sd=0.05, extra=(), sign=1):
         phase("hold", corner, time.size, time),
         *extra,
     )
-    contact = Contact(index, contact_mm, sd, in_record=True)
-    return Segmentation(sign, sign, contact, phases, 0.1)
+    return Segmentation(sign, sign, Contact(index, contact_mm, sd, in_record=True), phases, 0.1)
 
 
 def test_fit_starts_at_a_contact_inserted_between_two_samples():
@@ -62,8 +60,7 @@ def test_fit_starts_at_a_contact_inserted_between_two_samples():
     assert not log.data.include[0]
     assert log.data.depth_mm[1] == pytest.approx(trial.displacement_mm[log.first] - 0.505)
     assert log.data.time_s.size == trial.time_s.size - log.first + 1
-    assert log.depth_mm == pytest.approx(4.0)
-    assert log.step_s == pytest.approx(STEP)
+    assert (log.depth_mm, log.step_s) == pytest.approx((4.0, STEP))
     assert log.has_hold
     assert log.speeds_mm_s == (2.0,)
 
@@ -240,8 +237,7 @@ def test_cycles_in_contact_stay_out_of_the_likelihood_and_in_the_state() -> None
     divided = segment(trial)
     assert [phase.kind for phase in divided.phases] == ["cycle"] * 3 + ["ramp", "hold"]
     log = fitted_log(trial, divided)
-    assert log.data.time_s[0] == 0.0
-    assert log.data.depth_mm.size == trial.time_s.size
+    assert (log.data.time_s[0], log.data.depth_mm.size) == (0.0, trial.time_s.size)
     first = int(np.argmax(log.data.include))
     # the third cycle ends at 7 s
     assert log.data.time_s[first] == pytest.approx(7.0, abs=3.0 / RATE_HZ)
@@ -364,8 +360,7 @@ def test_of_loadings_without_a_test_the_first_is_fitted(back_mm) -> None:
 
 
 def test_forces_know_how_a_surface_moves_with_the_law() -> None:
-    trial = let_go(20.0, back_mm=1.4)
-    handle = divided_handle(trial)
+    handle = divided_handle(let_go(20.0, back_mm=1.4))
     law = kelvin_voigt_law(1, 0, 3.0)
     times, linear = np.log([2.0]), np.array([1.2, 0.0, 0.0, 1.5])
 
@@ -420,8 +415,7 @@ def test_samples_from_the_first_rupture_on_take_no_part_unless_the_user_denies_i
     flags = {flag.code: flag.message for flag in identify([trial]).specimens[0].trials[0].flags}
     assert {"rupture", "unloading_left_out"} <= set(flags)
     assert "the first rupture" in flags["unloading_left_out"]
-    whole = fitted_log(trial, denied)
-    assert whole.data.time_s[-1] == trial.time_s[-1]
+    assert fitted_log(trial, denied).data.time_s[-1] == trial.time_s[-1]
 
 
 def test_a_cut_without_samples_is_said() -> None:
@@ -434,8 +428,7 @@ def test_the_user_may_cut_a_recording() -> None:
     trial = recording([0, 2, 3, 5, 15, 17], [0, 2, 0, 4, 4, 0])
     divided = segment(trial, options=SegmentOptions(start_s=3.0, end_s=12.0))
     assert [phase.kind for phase in divided.phases] == ["ramp", "hold"]
-    assert divided.phases[0].start_s == 3.0
-    assert divided.phases[-1].end_s == 12.0
+    assert (divided.phases[0].start_s, divided.phases[-1].end_s) == (3.0, 12.0)
     log = fitted_log(trial, divided)
     assert (log.data.time_s[0], log.data.time_s[-1]) == (3.0, 12.0)
 
@@ -575,8 +568,7 @@ def test_a_stop_that_brakes_or_lies_on_a_sample_gets_no_corner():
     sharp = np.minimum(4.0 * np.pad(time, 10, mode="edge"), 4.0)
     braked = np.convolve(sharp, np.ones(11) / 11.0, mode="same")[10:-10]
     for depth in (braked, np.minimum(4.0 * time, 4.0)):
-        blocks = blocks_from(log_data(time, depth, depth), whole=True)
-        assert blocks.time_s.size == time.size
+        assert blocks_from(log_data(time, depth, depth), whole=True).time_s.size == time.size
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.05])

@@ -139,8 +139,7 @@ def test_standard_errors_are_the_spread_over_repeated_noise():
     found = {name: [] for name in (*names, "viscosity_N_s_per_mm")}
     claimed = dict.fromkeys(found, 0.0)
     for seed in range(300):
-        made = recording(time, x, force, turns, ["cycle"], noise=0.05, seed=seed)
-        (row,) = cycle_rows(*made)
+        (row,) = cycle_rows(*recording(time, x, force, turns, ["cycle"], noise=0.05, seed=seed))
         for name in found:
             measure = getattr(row, name)
             found[name].append(measure.value)
@@ -185,8 +184,7 @@ def test_an_open_loop_is_closed_at_the_depth_both_ways_reach():
     # loading from 0, unloading only down to 2 mm: the loop is taken from 2 mm
     way_in, way_out = np.linspace(0.0, 4.0, 401), np.linspace(4.0, 2.0, 201)[1:]
     x = np.concatenate([way_in, way_out])
-    force = np.concatenate([10.0 * way_in, 10.0 * way_out - 5.0])
-    (row,) = cycle_rows(*there_and_back(x, force))
+    (row,) = cycle_rows(*there_and_back(x, np.concatenate([10.0 * way_in, 10.0 * way_out - 5.0])))
     assert row.floor_mm == 2.0
     # a band of 5 N over 2 mm; the jump at the top is half a step wide
     assert row.dissipated_mJ.value == pytest.approx(10.0, rel=5e-3)
@@ -237,8 +235,7 @@ def test_preconditioning_has_its_loops_though_contact_is_that_of_the_test():
     clock = np.arange(depth.size) / 500.0
     ends = [*turns, 3500, 4000, depth.size - 1]
     kinds = ["cycle", "cycle", "cycle", "hold", "ramp", "hold"]
-    made = recording(clock, depth, SLOPE * depth, ends, kinds, noise=0.01, seed=4)
-    trial, segmentation = made
+    trial, segmentation = recording(clock, depth, SLOPE * depth, ends, kinds, noise=0.01, seed=4)
     late = replace(segmentation.contact, index=3510)
     rows = cycle_rows(trial, replace(segmentation, contact=late))
     assert [row.kind for row in rows] == ["cycle"] * 3
@@ -259,10 +256,8 @@ def test_model_viscosity_of_preconditioning_starts_before_its_first_loop():
     clock = np.arange(depth.size) / 5000.0
     force = stepped(model, theta, depth, 5000.0)
     ends = [*turns, x.size + 2000, x.size + 3000, depth.size - 1]
-    made = recording(clock, depth, force, ends, ["cycle", "hold", "ramp", "hold"])
-    trial, segmentation = made
+    trial, segmentation = recording(clock, depth, force, ends, ["cycle", "hold", "ramp", "hold"])
     late = replace(segmentation, contact=replace(segmentation.contact, index=x.size + 2010))
-    rows = cycle_rows(trial, late)
-    (row,) = with_model_viscosity(trial, late, rows, model, theta, Adjustment())
+    (row,) = with_model_viscosity(trial, late, cycle_rows(trial, late), model, theta, Adjustment())
     # interpolation over 13 factors
     assert row.viscosity_model_N_s_per_mm.value == pytest.approx(STIFFNESS * TAU_S, rel=5e-3)

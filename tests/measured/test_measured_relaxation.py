@@ -80,8 +80,7 @@ def test_two_and_three_exponentials_fit_no_worse_than_curve_fit_from_the_truth()
 def test_irregular_sampling_changes_nothing():
     rng = np.random.default_rng(1)
     time = np.concatenate([[0.0], np.cumsum(rng.uniform(0.005, 0.02, size=800))])
-    force = decay(time, 3.0, [2.0], [0.7])
-    (found,), _ = fit_exponentials(time, force, 1)
+    (found,), _ = fit_exponentials(time, decay(time, 3.0, [2.0], [0.7]), 1)
     assert found == pytest.approx(0.7, rel=1e-5)
 
 

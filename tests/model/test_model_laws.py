@@ -279,8 +279,7 @@ def test_ticks_follow_the_force_of_the_model(name):
     depth = np.interp(time, [0.0, 1.0, 2.0, 3.0], [0.0, DEPTH_MM, DEPTH_MM, 0.7 * DEPTH_MM])
     expected = model.force(theta, ContactPath(time, depth))
     assert expected.min() >= 0.0
-    error = np.abs(walked(model, theta, time, depth) - expected).max()
-    assert error < 1e-4 * expected.max()
+    assert np.abs(walked(model, theta, time, depth) - expected).max() < 1e-4 * expected.max()
 
 
 @pytest.mark.parametrize("name", NAMES)

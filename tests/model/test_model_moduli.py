@@ -147,8 +147,7 @@ def surface_compliance(x: float, poisson: float, *, bonded: bool) -> float:
     )
     through = expm(system * x)
     free = [2, 3] if bonded else [0, 3]
-    loads = through[np.ix_([2, 3], free)]
-    start = np.linalg.solve(loads, np.array([0.0, 1.0]))
+    start = np.linalg.solve(through[np.ix_([2, 3], free)], np.array([0.0, 1.0]))
     return float(through[1, free] @ start) / ((1.0 - poisson) / shear)
 
 

@@ -53,8 +53,7 @@ def test_intraclass_correlation_is_the_ratio_of_variances():
 def test_limits_of_agreement_are_those_of_bland_and_altman():
     changes = np.array([0.02, -0.05, 0.01, 0.06, -0.01, 0.03, -0.04, 0.05])
     cohort = with_gains(*[(1.0 / math.exp(c / 2), math.exp(c / 2)) for c in changes])
-    force = {one.specimen: 100.0 for one in cohort}
-    found = agreement(cohort, force)
+    found = agreement(cohort, {one.specimen: 100.0 for one in cohort})
     sd = changes.std(ddof=1)
     # t of 7 degrees of freedom, from a table
     error, limit = 2.364624 * sd / math.sqrt(8), 2.364624 * sd * math.sqrt(1 / 8 + 1.959964**2 / 14)

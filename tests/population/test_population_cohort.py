@@ -199,8 +199,7 @@ def test_covariates_are_columns_and_levels_or_refused():
     three = members(5, draws=100)
     gap = (replace(three[0], covariates={**three[0].covariates, "age_years": None}), *three[1:])
     described = design_of(gap, None, ("age_years",))
-    assert described.missing == {"age_years": ("head 1",)}
-    assert described.columns[0, 1] == 0.0
+    assert (described.missing, described.columns[0, 1]) == ({"age_years": ("head 1",)}, 0.0)
     # 61 to 64 years: mean 62.5, standard deviation root of 1.25
     assert described.scales["age_years"] == pytest.approx(np.sqrt(1.25))
     assert described.columns[1:, 1] == pytest.approx(np.array([-1.5, -0.5, 0.5, 1.5]) / np.sqrt(1.25))
@@ -239,8 +238,7 @@ def test_what_all_specimens_share_is_the_machine_s():
 def test_the_machine_s_part_does_not_average_out():
     made = members(6, seed=3, own=(0.01, 0.01, 0.01, 0.01, 0.01), between=0.02)
     total = with_one_gain(made, 0.03, np.random.default_rng(5))
-    found = cohort(total, CohortOptions(sampler=SHORT, hold_out=False))
-    row = found.population.told.quantities[2]
+    row = cohort(total, CohortOptions(sampler=SHORT, hold_out=False)).population.told.quantities[2]
     statistical = np.log(row.ci95[1] / row.ci95[0]) / 3.92
     with_machine = np.log(row.ci95_total[1] / row.ci95_total[0]) / 3.92
     assert with_machine == pytest.approx(np.hypot(statistical, 0.03), rel=0.15)

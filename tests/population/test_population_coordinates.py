@@ -17,8 +17,7 @@ def places(draw: st.DrawFn) -> tuple[Coordinates, np.ndarray]:
         kelvin_voigt(draw(st.integers(1, 3)), draw(st.integers(0, 2)), draw(st.floats(0.5, 30.0)))
     )
     # e^-6 to e^6: six decades of force and time
-    phi = draw(arrays(np.float64, coordinates.size, elements=st.floats(-6.0, 6.0)))
-    return coordinates, phi
+    return coordinates, draw(arrays(np.float64, coordinates.size, elements=st.floats(-6.0, 6.0)))
 
 
 #: Laws of every kind of static law, stiffness and relaxation, and shapes within their bounds.
@@ -87,8 +86,7 @@ def test_theta_and_phi_are_one_to_one_and_the_jacobian_is_that_of_the_map(case):
 
 def test_quantities_are_forces_and_viscosities_at_their_depths():
     coordinates = Coordinates(kelvin_voigt(2, 1, 6.0))
-    theta = np.array([20.0, -1.2, 0.35, 60.0, 10.0, 0.02, 5.0, 1.0, 4.0])
-    found = coordinates.quantities(theta)[0]
+    found = coordinates.quantities(np.array([20.0, -1.2, 0.35, 60.0, 10.0, 0.02, 5.0, 1.0, 4.0]))[0]
     static = [20.0 * x - 1.2 * x**2 + 0.35 * x**3 for x in (2.0, 4.0, 6.0)]
     first = [(60.0 + 10.0 * x) * 0.02 for x in (3.0, 6.0)]
     second = [(5.0 + 1.0 * x) * 4.0 for x in (3.0, 6.0)]

@@ -45,8 +45,7 @@ def test_a_prior_that_varies_is_divided_out_of_the_likelihood():
     phi = draws(6000)
     # draws of likelihood x prior: with a normal prior around 4.05, of the first force alone
     prior = -0.5 * ((phi[:, 0] - 4.05) / 0.1) ** 2
-    rng = np.random.default_rng(2)
-    kept = phi[rng.random(len(phi)) < np.exp(prior)]
+    kept = phi[np.random.default_rng(2).random(len(phi)) < np.exp(prior)]
     found = mixture_of(kept, -0.5 * ((kept[:, 0] - 4.05) / 0.1) ** 2, LINEAR)
     # the likelihood is a normal around 4 again: 3 errors of the mean of some thousand draws
     assert found.middle[0] == pytest.approx(4.0, abs=3.0 * 0.05 / np.sqrt(1000.0) + 0.002)
@@ -116,8 +115,7 @@ def test_gains_that_are_small_or_seldom_large_leave_a_core_and_tails():
     found = mixture_of(phi, np.zeros(4000), logarithms)
 
     def density(shift: float) -> float:
-        at = middle + np.array([shift, shift, 0.0])
-        return level(found, at, logarithms)
+        return level(found, middle + np.array([shift, shift, 0.0]), logarithms)
 
     def expected(shift: float) -> float:
         # sd of the mean of two forces, and weights over it

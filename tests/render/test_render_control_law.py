@@ -154,8 +154,7 @@ def radau(settings: ControlSettings, times: np.ndarray) -> np.ndarray:
 def test_the_sampled_loop_tends_to_the_solution_of_the_differential_equations(variant):
     gains, push = Gains(projection=False, sigma_floor=0.4), Signal((8.0,), (4.0,), (1.0,))
     base = ControlSettings(PAPER_A, variant=variant, gains=gains, push=push, seconds=0.6)
-    times = np.arange(600) / 1000.0
-    right = radau(base, times)
+    right = radau(base, np.arange(600) / 1000.0)
     size = np.sqrt(np.mean(right**2))
 
     def off(run: simulation.ControlRun) -> float:

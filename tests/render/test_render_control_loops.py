@@ -141,8 +141,7 @@ def test_a_tool_that_is_stepped_once_a_tick_is_unstable_on_stiff_tissue():
     coarse = simulate(replace(hard, substeps=1, seconds=3.0))
     # the tool bounces and makes energy: the tissue is hit with far more than the hand's 20 N
     assert coarse.environment_force_N.max() > 40.0
-    fine = simulate(replace(hard, seconds=3.0))
-    assert fine.environment_force_N.max() < 21.0
+    assert simulate(replace(hard, seconds=3.0)).environment_force_N.max() < 21.0
     assert hard.tool_substeps() >= 20
     assert replace(hard, stiffness_scale=1e4).tool_substeps() > 100
 
@@ -273,8 +272,7 @@ def test_a_hand_on_the_simulated_device_feels_the_tissue_through_the_guard(scale
     run = render_on_simulated(PAPER_A, stiffness_scale=scale)
     found = run.as_json()
 
-    clamp_N = GuardLimits.simulated().clamp_N
-    assert np.abs(run.sent_force_N).max() <= clamp_N
+    assert np.abs(run.sent_force_N).max() <= GuardLimits.simulated().clamp_N
     # before the hand engages the guard sends nothing
     assert run.sent_force_N[0] == 0.0
     assert found["error_rms_mm"] < 0.3

@@ -33,8 +33,7 @@ def lit(infos: FloatArray, lamp: int) -> FloatArray:
 
 
 def test_what_is_felt_is_what_was_fitted_on_any_path_through_loss_of_contact():
-    rng = np.random.default_rng(11)
-    times = np.cumsum(rng.uniform(0.0005, 0.002, 1000))
+    times = np.cumsum(np.random.default_rng(11).uniform(0.0005, 0.002, 1000))
     depth = 3.0 * np.sin(7.0 * times) + 1.5 * np.sin(31.0 * times)
     forces, infos = felt(depth, times, TWO_BRANCHES)
     stepper = TissueStepper(TWO_BRANCHES.model, TWO_BRANCHES.theta)
@@ -128,8 +127,7 @@ def test_lamps_tell_when_the_law_is_continued():
 
 def test_beyond_the_identified_depth_the_force_grows_with_its_end_slope():
     times = np.arange(0.0, 20.0, 0.01)
-    depth = np.minimum(times, 10.0)
-    _, infos = felt(depth, times)
+    _, infos = felt(np.minimum(times, 10.0), times)
     a1, a2, a3 = PAPER_A.theta[:3]
     end = a1 * 8.0 + a2 * 64.0 + a3 * 512.0
     slope = a1 + 2.0 * a2 * 8.0 + 3.0 * a3 * 64.0

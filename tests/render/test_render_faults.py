@@ -262,8 +262,7 @@ def test_a_device_that_fails_is_exit_5_with_its_reason_on_the_screen_and_in_the_
         assert kind == "unplug" or link.falcon.last_motors == (0, 0, 0)
     kept = read_session_log(log)
     assert kept.summary is not None
-    assert kept.records["fault"][-1] == fault
-    assert kept.records["state"][-1] == State.FAULT
+    assert (kept.records["fault"][-1], kept.records["state"][-1]) == (fault, State.FAULT)
     assert (kept.records["force_N"][-1] == 0.0).all()
     assert np.abs(kept.records["force_N"]).max() > 0.1
 

@@ -97,5 +97,4 @@ def test_an_owner_that_is_killed_leaves_zero_packets_behind():
         ended = falcon.commands
         assert ended - commands >= 15
         time.sleep(0.2)
-        assert falcon.commands == ended
-        assert falcon.last_motors == (0, 0, 0)
+        assert (falcon.commands, falcon.last_motors) == (ended, (0, 0, 0))

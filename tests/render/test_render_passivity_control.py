@@ -82,8 +82,7 @@ def test_the_correction_never_jumps_nor_exceeds_its_limit(count_m):
     size = np.linalg.norm(correction, axis=1)
     assert size.max() > 0.5
     assert size.max() <= limits.largest_correction_N * (1.0 + 1e-9)
-    jumps = np.linalg.norm(np.diff(correction, axis=0), axis=1)
-    assert jumps.max() <= 0.5 * (1.0 + 1e-9)
+    assert np.linalg.norm(np.diff(correction, axis=0), axis=1).max() <= 0.5 * (1.0 + 1e-9)
 
 
 @pytest.mark.needs_jit

@@ -65,8 +65,7 @@ def test_the_scale_is_lowered_until_the_devices_damping_bears_it() -> None:
 
 
 def test_a_scale_that_was_asked_for_is_kept_or_refused_with_the_largest_that_fits() -> None:
-    kept = check_before_force(PAPER_A, FALCON_LIKE, force_scale=0.01)
-    assert kept.scaling.force == 0.01
+    assert check_before_force(PAPER_A, FALCON_LIKE, force_scale=0.01).scaling.force == 0.01
     with pytest.raises(DeviceError, match="largest that fits") as refusal:
         check_before_force(PAPER_A, FALCON_LIKE, force_scale=0.02)
     assert refusal.value.exit_status == 5
@@ -153,8 +152,7 @@ def test_the_scenes_that_come_along_are_rendered_as_they_are_planned() -> None:
 def test_a_guided_session_has_its_block_and_says_what_is_assumed() -> None:
     plan = plan_session(RenderOptions(device="sim", seconds=1.0, scene=load_scene("hip-resurfacing")))
     block = plan.blocks[0]
-    assert block[KIND] == GUIDANCE
-    assert block[GUIDED + gd.TAU] == 0.05
+    assert (block[KIND], block[GUIDED + gd.TAU]) == (GUIDANCE, 0.05)
     assert plan.check is None
     assert plan.head["environment"] == "guidance"
     assert plan.head["tissues"][0]["block"] == block.tolist()

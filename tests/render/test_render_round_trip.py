@@ -83,8 +83,7 @@ def test_a_log_that_states_a_wrong_scale_is_detected(tmp_path, capsys, which, fa
     wrong.write_bytes(raw_head({**head, "scale": stated}, kept.records.dtype) + kept.records.tobytes())
     capsys.readouterr()
     assert main(["fit", str(wrong), "-o", str(tmp_path / "fit"), *QUICK]) == 3
-    said = capsys.readouterr().err
-    assert f"the {which.split('_')[0]} scale that the log states" in said
+    assert f"the {which.split('_')[0]} scale that the log states" in capsys.readouterr().err
 
 
 @pytest.mark.slow

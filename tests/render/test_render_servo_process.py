@@ -175,8 +175,7 @@ class TestInOneProcess:
         assert pipes.main(ServoPlan("sim", ticks=120, alive_wanted=False)) == 0
         lines = pipes.told().splitlines()
         assert [line.split('"')[3] for line in lines] == ["ready", "ended"]
-        assert pipes.ring.published == 120
-        assert pipes.ring.records["state"][119] == State.ENGAGED
+        assert (pipes.ring.published, pipes.ring.records["state"][119]) == (120, State.ENGAGED)
 
     def test_the_death_of_the_owner_is_a_fault(self, pipes):
         os.close(pipes.ours)
@@ -193,8 +192,7 @@ class TestInOneProcess:
 
     def test_the_wish_to_end_ends_it(self, pipes):
         pipes.block.order(COMMAND_STOP)
-        end = pipes.run(ServoPlan("sim", ticks=2000))
-        assert end.reason == "stopped"
+        assert pipes.run(ServoPlan("sim", ticks=2000)).reason == "stopped"
         assert pipes.ring.published == 20
 
     def test_a_signal_is_seen_by_the_loop(self, pipes):
@@ -215,8 +213,7 @@ class TestInOneProcess:
         monkeypatch.setattr(servo_process, "environment_law", lambda name: lambda p, v, dt: 0.0 * p)
         plan = ServoPlan("sim", {"real_time": True}, law="nothing", ticks=80, alive_wanted=False)
         pipes.block.order(COMMAND_ENGAGE)
-        end = pipes.run(plan)
-        assert end.reason == "ticks"
+        assert pipes.run(plan).reason == "ticks"
         assert '"compiled": false' in pipes.told()
 
     @pytest.mark.parametrize(

@@ -197,8 +197,7 @@ def test_one_wild_sample_does_not_move_the_contact(which, at):
 
 def test_a_load_cell_that_drifts_in_air_does_not_move_the_contact():
     trial = ramp_in_air()
-    drifting = replace(trial, force_N=trial.force_N + 0.5 * trial.time_s)
-    contact = segment(drifting).contact
+    contact = segment(replace(trial, force_N=trial.force_N + 0.5 * trial.time_s)).contact
     assert contact.displacement_mm == pytest.approx(1.0, abs=3.0 * contact.sd_mm)
 
 

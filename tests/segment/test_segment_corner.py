@@ -101,8 +101,7 @@ def test_ringing_is_measured() -> None:
 
 def test_every_ramp_that_goes_on_has_its_corner() -> None:
     time = np.arange(0.0, 30.0, 0.01)
-    depth = np.interp(time, [0, 2, 7, 9, 15, 19, 25], [0, 2, 2, 4, 4, 0, 0])
-    found = stopped(time, depth)
+    found = stopped(time, np.interp(time, [0, 2, 7, 9, 15, 19, 25], [0, 2, 2, 4, 4, 0, 0]))
     assert kinds(found) == ["ramp", "hold", "ramp", "hold", "retract", "rest"]
     assert [corner.phase for corner in found.corners] == [0, 2]
     assert [corner.time_s for corner in found.corners] == pytest.approx([2.0, 9.0], abs=0.01)
@@ -170,8 +169,7 @@ def test_no_stop_lasts_longer_than_its_ramp_or_what_follows(bend: float) -> None
     time = np.arange(0.0, 30.0, 0.1)
     u, v = np.clip(time / 20.0, 0.0, 1.0), np.clip((time - 20.0) / 10.0, 0.0, 1.0)
     depth = (1.0 - bend) * u + bend * u**3 - 1e-3 * v - bend * 0.2 * v**3
-    phases = phases_between(time, [0, 200, 299], ["ramp", "retract"])
-    (corner,) = stops(time, depth, phases, 1e-4)
+    (corner,) = stops(time, depth, phases_between(time, [0, 200, 299], ["ramp", "retract"]), 1e-4)
     assert 0.0 <= corner.duration_s <= 10.0
 
 
@@ -179,8 +177,7 @@ def test_a_stop_between_two_samples_takes_no_time() -> None:
     # the corner lies a thousandth of a sample off: an area that is no time
     time = np.arange(0.0, 6.0, 0.01)
     depth = np.clip(2.0 * time, 0.0, 4.0 + 2e-5)
-    phases = phases_between(time, [0, 200, 599], ["ramp", "hold"])
-    (corner,) = stops(time, depth, phases, 1e-3)
+    (corner,) = stops(time, depth, phases_between(time, [0, 200, 599], ["ramp", "hold"]), 1e-3)
     assert corner.duration_s == 0.0
 
 

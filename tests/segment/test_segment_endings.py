@@ -142,8 +142,7 @@ def test_loops_that_turn_at_a_depth_show_none(depths: list[float], peaks: list[f
 @pytest.mark.parametrize(("limit_N", "stops"), [(40.0, 1), (60.0, 0), (25.0, 0)])
 def test_a_ramp_that_ends_at_the_stated_force_was_stopped_by_it(limit_N: float, stops: int) -> None:
     # 4 mm at 10 N/mm
-    found = segment(drawn([0, 4, 8], [0, 4, 0], load_limit_N=limit_N))
-    limits = events(found, "load_limit")
+    limits = events(segment(drawn([0, 4, 8], [0, 4, 0], load_limit_N=limit_N)), "load_limit")
     assert len(limits) == stops
     for event in limits:
         assert event.values["limit_N"] == limit_N
@@ -343,8 +342,7 @@ def test_a_rupture_has_its_force_drop_depth_and_work() -> None:
     # half of 4 mm times 40 N
     assert values["work_N_mm"] == pytest.approx(80.0, rel=0.01)
     said = flag_of(found, "rupture")
-    assert said.values["time_s"] == event.time_s
-    assert said.values["count"] == 1
+    assert (said.values["time_s"], said.values["count"]) == (event.time_s, 1)
 
 
 def test_every_layer_that_breaks_is_found() -> None:
@@ -420,8 +418,7 @@ def test_a_drop_that_is_no_rupture_does_not_end_the_move_that_shows_contact(monk
     monkeypatch.setattr(segmentation, "ruptures", lambda *given: [dropped] if given[2][0] < 0.0 else [])
 
     for options in (SegmentOptions(), SegmentOptions(rupture=False)):
-        found = segment(trial, options=options)
-        assert abs(found.contact.displacement_mm - 1.0) < 0.05
+        assert abs(segment(trial, options=options).contact.displacement_mm - 1.0) < 0.05
 
 
 @pytest.mark.parametrize("seed", [0, 8, 22, 25])
@@ -460,8 +457,7 @@ def test_an_invar_bar_pulled_to_failure_ruptures_after_its_peak(shared_data):
     columns = [names.index(name) for name in ("Time", "Standard travel", "Standard force")]
     table = rows[rows.index(names) + 2 :]
     data = np.array([[float(row[k]) for k in columns] for row in table])
-    found = divided(*data.T)
-    (event,) = events(found, "rupture")
+    (event,) = events(divided(*data.T), "rupture")
     # necking from the peak of 7.4 kN at 0.9 mm on; hardly anything is carried at the end
     assert 0.9 < event.values["depth_mm"] < 1.3
     assert event.values["drop_fraction"] > 0.9

@@ -30,8 +30,7 @@ def bundle() -> Bundle:
 
 
 def test_a_recipe_becomes_its_program_and_its_tissue():
-    plan = recipe("paper-a-30-k1")
-    protocol, centre = of_recipe(plan, rate_Hz=100.0)
+    protocol, centre = of_recipe(recipe("paper-a-30-k1"), rate_Hz=100.0)
     assert len(protocol.logs) == 30
     assert protocol.step_s == pytest.approx(0.01, rel=1e-9)
     # 10 mm/min to 8 mm takes 48 s, and the last sample lies one step before its end

@@ -67,8 +67,7 @@ def test_a_wrong_posterior_is_told_why_and_by_how_much(check, says, mean_z, spre
 
 def test_a_simulation_without_a_posterior_is_counted_and_told():
     # 16 % of truths lie above one prior standard deviation
-    records = records_of(NormalMean(fails_above=2.0), 200)
-    verdict = verdict_of(records)
+    verdict = verdict_of(records_of(NormalMean(fails_above=2.0), 200))
     assert 10 < len(verdict.failed) < 60
     assert verdict.simulations + len(verdict.failed) == 200
     assert verdict.reasons[0].endswith("no posterior: ArithmeticError: no posterior here")
@@ -89,8 +88,7 @@ def test_a_second_call_goes_on_with_the_same_simulations(tmp_path):
     first = simulated(path, 8)
     told: list[tuple[int, int]] = []
     both = simulated(path, 20, progress=lambda _m, done, of: told.append((done, of)))
-    assert told[0] == (8, 20)
-    assert told[-1] == (20, 20)
+    assert (told[0], told[-1]) == ((8, 20), (20, 20))
     assert [record.rank for record in both[:8]] == [record.rank for record in first]
     whole = records_of(NormalMean(), 20, seed=3)
     assert [record.truth for record in both] == [record.truth for record in whole]
@@ -105,8 +103,7 @@ def test_a_torn_last_line_is_dropped_and_simulated_again(tmp_path):
     path.write_bytes(whole[:-30])
     with Checkpoint(path, "d") as checkpoint:
         assert checkpoint.missing(4) == [3]
-    again = simulated(path, 4)
-    assert again[3].truth == one_record(NormalMean(), 3, 3).truth
+    assert simulated(path, 4)[3].truth == one_record(NormalMean(), 3, 3).truth
     path.write_bytes(whole[:20])
     with Checkpoint(path, "d") as checkpoint:
         # killed within the first line: nothing is lost that was there
@@ -189,8 +186,7 @@ def test_band_keeps_uniform_ranks_with_its_level(simulations, level):
 
 
 def test_ranks_and_their_counts_are_those_of_their_definitions():
-    ranks = np.array([0, 3, 4, 199, 200, DRAWS])
-    counts = ecdf_counts(ranks)
+    counts = ecdf_counts(np.array([0, 3, 4, 199, 200, DRAWS]))
     assert counts.size == POINTS - 1
     # 1 % of 400 ranks are 0 to 3; one half are 0 to 199
     assert (counts[0], counts[1], counts[49], counts[-1]) == (2, 3, 4, 5)

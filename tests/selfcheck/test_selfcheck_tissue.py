@@ -33,8 +33,7 @@ THETA = np.array([20.0, 1.2, 0.35, 60.0, 10.0, 0.2])
 def check_of(*, pooling: str = "partial", **options: Any) -> TissueCheck:
     logs = (Log("ramp", (Move(4.0, 240.0),)), Log("hold", (Move(4.0, 480.0), Hold(1.0))))
     protocol = of_program(logs, rate_Hz=50.0, contact_sd_mm=0.0, words="two logs")
-    centre = Centre(MODEL, THETA, sigma_N=0.5, pooling=pooling)
-    return tissue_check(protocol, centre, **options)
+    return tissue_check(protocol, Centre(MODEL, THETA, sigma_N=0.5, pooling=pooling), **options)
 
 
 def identified_by(monkeypatch: pytest.MonkeyPatch, identify: Callable[..., Identification]) -> None:
@@ -165,8 +164,7 @@ def test_the_quoted_interval_counts_where_there_is_one(monkeypatch):
 def test_too_few_draws_are_no_posterior(monkeypatch, change, says):
     theta = np.tile(THETA, (399, 1))
     identified_by(monkeypatch, lambda *_, **__: of_draws(MODEL, theta, **change))
-    record = one_record(check_of(defects="draws_total" in change), 1, 0)
-    assert says in record.failed
+    assert says in one_record(check_of(defects="draws_total" in change), 1, 0).failed
 
 
 def test_a_fit_without_a_posterior_is_a_failure_with_its_reason(monkeypatch):
@@ -185,10 +183,8 @@ def test_a_fit_without_a_posterior_is_a_failure_with_its_reason(monkeypatch):
     }
     for says, found in ends.items():
         identified_by(monkeypatch, lambda *_, found=found, **__: found)
-        record = one_record(check_of(), 1, 0)
-        assert record.failed == f"ArithmeticError: {says}"
+        assert one_record(check_of(), 1, 0).failed == f"ArithmeticError: {says}"
 
 
 def test_a_check_goes_to_other_processes():
-    check = pickle.loads(pickle.dumps(check_of()))
-    assert check.priors == check_of().priors
+    assert pickle.loads(pickle.dumps(check_of())).priors == check_of().priors

@@ -76,12 +76,10 @@ def test_a_mouse_drag_presses_the_tissue_and_the_force_rises(page):
     assert deep["newest"]["depth_mm"] > shallow["newest"]["depth_mm"]
     assert deep["newest"]["tissue_N"] > 10.0
     # the surface that is drawn went down with the tool: five times the tissue's depth
-    drawn = wait(page, lambda now: now["surface"] > 0.0)
-    assert drawn["surface"] > 1.0
+    assert wait(page, lambda now: now["surface"] > 0.0)["surface"] > 1.0
     page.mouse.up()
     # let go, the hand leaves the tissue
-    gone = wait(page, lambda now: now["newest"]["depth_mm"] < 0.0)
-    assert gone["newest"]["device_N"] == 0.0
+    assert wait(page, lambda now: now["newest"]["depth_mm"] < 0.0)["newest"]["device_N"] == 0.0
 
 
 def test_keys_press_the_tissue_too(page):
@@ -201,8 +199,7 @@ def test_a_page_finds_a_session_that_was_started_again(chromium):
             page, lambda now: now["drawn"] > 0 and not now["newest"]["stale"], lambda: first.write(1)
         )
         assert shown["link"] == "live"
-    lost = wait(page, lambda now: now["link"] != "live")
-    assert lost["newest"]["stale"]
+    assert wait(page, lambda now: now["link"] != "live")["newest"]["stale"]
     page.locator("#lamp-stale.lit").wait_for()
     assert "stale" in page.locator("body").get_attribute("class")
     assert page.locator("#link-word").text_content() in {"not connected", "connecting"}
@@ -221,8 +218,7 @@ def test_a_picture_that_gets_old_is_greyed_and_says_so(chromium):
         page.goto(f"http://127.0.0.1:{live.access.port}/")
         wait(page, lambda now: now["drawn"] > 0, lambda: live.write(1))
         live.write(1)
-        old = wait(page, lambda now: now["newest"]["stale"])
-        assert old["newest"]["ageS"] > 0.5
+        assert wait(page, lambda now: now["newest"]["stale"])["newest"]["ageS"] > 0.5
         page.locator("#veil", has_text="stale").wait_for()
         assert "Stale" in page.locator("#lamps .lit").all_text_contents()
         page.close()
@@ -309,8 +305,7 @@ def test_a_tissue_that_is_no_plane_is_pressed_in(chromium, tmp_path, surface):
         pressed = wait(page, lambda now: now["newest"]["depth_mm"] > 0.5 and now["surface"] > 0.0)
         assert pressed["newest"]["tissue_N"] > 5.0
         # what is drawn goes in by five times the tissue's depth, as the hand does
-        deep = wait(page, lambda now: now["surface"] > 2.0)
-        assert deep["newest"]["device_N"] > 0.1
+        assert wait(page, lambda now: now["surface"] > 2.0)["newest"]["device_N"] > 0.1
         assert page.said == []
 
 

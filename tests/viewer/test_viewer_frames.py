@@ -90,8 +90,7 @@ def test_the_hello_says_what_is_drawn_and_which_lamp_is_which():
     words = json.loads(json.dumps(hello(head_of(), pointer=True), allow_nan=False))
     assert {one["kind"] for one in words["scene"]["objects"]} == {"workspace", "tool", "surface"}
     surface = next(one for one in words["scene"]["objects"] if one["kind"] == "surface")
-    assert surface["shape"] == "plane"
-    assert surface["motion_scale"] == 5.0
+    assert (surface["shape"], surface["motion_scale"]) == ("plane", 5.0)
     bits = {one["id"]: one["bits"] for one in words["lamps"]}
     assert bits["saturation"] & Lamp.CLIPPED
     assert bits["passivity"] == Lamp.PASSIVITY
