@@ -130,9 +130,8 @@ def test_motor_clamp_bounds_the_force_even_of_the_worst_constant():
     # 5 N along the worst direction, at 3460 units for one N m, must fit under it, and not much more
     assert worst * 5.0 * 3460.0 == pytest.approx(clamp, rel=0.05)
     assert uncalibrated.clamp_units <= clamp
-    assert (
-        module.Calibration(confirmed=True, force_calibrated=True, units_per_Nm=30_000.0).clamp_units == 4095
-    )
+    weighed = replace(uncalibrated, force_calibrated=True)
+    assert weighed.clamp_units == 4095
 
 
 @pytest.mark.parametrize("geometry", sorted(kinematics.GEOMETRIES))
@@ -159,8 +158,7 @@ def test_every_key_and_the_rule_for_its_link_stand_on_the_page():
 def test_a_wrong_zero_angle_shows_on_a_ruler_as_the_page_says():
     true, wrong = DEFAULT_GEOMETRY, replace(DEFAULT_GEOMETRY, zero_angle_deg=36.0)
     counts = [(inverse([0.0, 0.0, z]) - np.radians(35.0)) / true.radians_per_count for z in (0.182, 0.132)]
-    shown = [
-        forward(np.radians(36.0) + true.radians_per_count * count, geometry=wrong)[2] for count in counts
-    ]
+    angles = [np.radians(36.0) + true.radians_per_count * count for count in counts]
+    shown = [forward(one, geometry=wrong)[2] for one in angles]
     (less,) = re.findall(r"falls by about ([\d.]+) mm less", PAGE)
     assert 50.0 - 1e3 * (shown[0] - shown[1]) == pytest.approx(float(less), abs=0.1)

@@ -118,9 +118,8 @@ def test_one_count_is_38_to_48_micrometres_and_is_an_angle_from_the_zero_angle()
     along_z = [1e6 * per_count * jacobian([0.0, 0.0, z])[2].sum() for z in (0.09, 0.13, 0.16)]
     assert all(35.0 < size < 55.0 for size in along_z)
     out = np.empty(3)
-    kinematics.angles_of_counts(
-        np.array([0, 1000, -1000]), replace(DEFAULT_GEOMETRY, zero_angle_deg=40.0).block(), out
-    )
+    at_40 = replace(DEFAULT_GEOMETRY, zero_angle_deg=40.0).block()
+    kinematics.angles_of_counts(np.array([0, 1000, -1000]), at_40, out)
     assert np.degrees(out) == pytest.approx([40.0, 40.0 + 36.4347, 40.0 - 36.4347], abs=1e-4)
 
 

@@ -252,9 +252,8 @@ class TestGuardLimits:
     def test_an_uncalibrated_clamp_is_five_newton_with_the_worst_constant(self):
         clamps = {units: uncalibrated_clamp_N(units) for units in (3460.0, 6600.0, 10000.0)}
         # newtons times nominal units are motor units; with the worst constant these are 5 N
-        assert {units: clamp * units / 3460.0 for units, clamp in clamps.items()} == pytest.approx(
-            dict.fromkeys(clamps, 5.0)
-        )
+        forces = [clamp * units / 3460.0 for units, clamp in clamps.items()]
+        assert forces == pytest.approx([5.0] * len(clamps))
         assert uncalibrated_clamp_N(1000.0) == 5.0
         with pytest.raises(ValueError, match="positive"):
             uncalibrated_clamp_N(0.0)

@@ -80,9 +80,8 @@ def test_a_law_of_fewer_parameters_that_predicts_as_well_is_chosen():
     assert found.chosen is simple
     (beside,) = found.rivals
     assert beside.name == "polynomial * linear * prony:2"
-    rows = choice.table_of(
-        [{"branches": 2, "stiffness_degree": 1, "score": 0.0, "chosen": True}], found, paper
-    )
+    row = {"branches": 2, "stiffness_degree": 1, "score": 0.0, "chosen": True}
+    rows = choice.table_of([row], found, paper)
     assert [row["chosen"] for row in rows] == [False, True]
     assert rows[0]["score"] == pytest.approx(beside.gain)
     assert rows[1]["model"] == "power * power-law"
@@ -227,12 +226,11 @@ def quasi_linear(trials):
 
 @pytest.mark.system
 def test_a_quasi_linear_tissue_is_told_and_the_papers_is_not():
-    paper = identified(handles_of(PAPER, 1), pooling="partial", branches=(1, 2), degrees=(0, 1))
+    asked = {"pooling": "partial", "branches": (1, 2), "degrees": (0, 1)}
+    paper = identified(handles_of(PAPER, 1), **asked)
     assert not any(one.better or one.disagrees for one in paper.rivals)
     assert rival_flags(paper) == ()
-    other = identified(
-        handles_for(quasi_linear(draw(PAPER, 1))), pooling="partial", branches=(1, 2), degrees=(0, 1)
-    )
+    other = identified(handles_for(quasi_linear(draw(PAPER, 1))), **asked)
     assert any(one.better for one in other.rivals)
     (flag,) = rival_flags(other)
     assert flag.code == "form_dependent"
@@ -262,9 +260,8 @@ def test_a_law_is_better_or_ties_and_disagrees(gain, apart, better, disagrees):
 
 
 def test_one_remark_on_the_form_is_enough():
-    by_law, window, program = (
-        Flag("form_dependent", "", {key: 1.0}) for key in ("gain", "slope", "depth_mm")
-    )
+    keys = ("gain", "slope", "depth_mm")
+    by_law, window, program = (Flag("form_dependent", "", {key: 1.0}) for key in keys)
     other = Flag("bound_active", "else")
     assert _one_form((program, other, window, by_law)) == (other, by_law)
     assert _one_form((program, window, other)) == (window, other)

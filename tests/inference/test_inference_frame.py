@@ -23,6 +23,8 @@ from tissueid.trial import Source, Trial
 
 STIFFNESS = 200.0
 TISSUE = (Branch((30.0,), 0.2),)
+#: A frame whose compliance falls from 0.01 to 0.002 mm/N over the first 100 N.
+FALLING = FrameCurve(np.array([0.0, 100.0]), np.array([0.01, 0.002]), np.zeros((2, 2)))
 
 
 def recorded(seed=1, sigma=0.2, give=lambda force: force / STIFFNESS):
@@ -44,9 +46,8 @@ def test_a_nonlinear_frame_is_taken_off_as_it_was_calibrated():
         below = np.minimum(force, 100.0)
         return 0.01 * below - 0.5 * 8e-5 * below**2 + 0.002 * np.maximum(force - 100.0, 0.0)
 
-    soft = FrameCurve(np.array([0.0, 100.0]), np.array([0.01, 0.002]), np.zeros((2, 2)))
     trials, _, handles = recorded(3, 0.0, give)
-    for trial, handle in zip(trials, tip_handles(handles, soft), strict=True):
+    for trial, handle in zip(trials, tip_handles(handles, FALLING), strict=True):
         # the smoothing law is another one in the tip's travel: some 0.1 N of 200 N, behind 100 N/mm
         assert np.abs(handle.load().displacement_mm - trial.displacement_mm).max() < 5e-3
 
@@ -67,9 +68,8 @@ def test_the_tip_is_where_it_was():
         assert np.abs(off).max() < 1e-3
         assert off.std() < 3e-4
         (flag,) = [flag for flag in tip.flags if flag.code == "frame_corrected"]
-        assert flag.values["deflection_mm"] == pytest.approx(
-            float(np.ptp(before.displacement_mm - trial.displacement_mm)), rel=0.02
-        )
+        given_mm = float(np.ptp(before.displacement_mm - trial.displacement_mm))
+        assert flag.values["deflection_mm"] == pytest.approx(given_mm, rel=0.02)
     assert said == ["the frame"]
 
 
@@ -88,9 +88,7 @@ def test_a_corrected_fit_is_that_of_the_tissue():
 
 
 def test_forces_far_beyond_the_calibration_are_told():
-    curve = FrameCurve(
-        np.array([0.0, 100.0]), np.array([0.01, 0.002]), np.zeros((2, 2)), range_N=(5.0, 100.0)
-    )
+    curve = replace(FALLING, range_N=(5.0, 100.0))
     assert [beyond_calibration(curve, force) for force in (149.0, 151.0)] == [False, True]
     assert not beyond_calibration(linear_frame(STIFFNESS), 1e9)
 

@@ -104,9 +104,8 @@ def test_covariance_of_block_means_is_that_of_the_noise_summed_directly(model, p
     blocks = replace(blocks, end_s=blocks.start_s + 0.01 * (blocks.count - 1))
     noise = NoiseFit(model, 1.3, phi, 0.01, theta)
     # autocovariance of the samples, then the mean over each block by hand
-    lag_one = (
-        0.0 if model == "white" else (1 - phi * theta) * (phi - theta) / (1 + theta**2 - 2 * phi * theta)
-    )
+    # none where the noise is white
+    lag_one = (1 - phi * theta) * (phi - theta) / (1 + theta**2 - 2 * phi * theta)
     sample = [np.round(s / 0.01) + np.arange(n) for s, n in zip(blocks.start_s, blocks.count, strict=True)]
     expected = np.empty((4, 4))
     for i, one in enumerate(sample):
@@ -114,9 +113,8 @@ def test_covariance_of_block_means_is_that_of_the_noise_summed_directly(model, p
             lag = np.abs(one[:, None] - other)
             rho = np.where(lag == 0, 1.0, lag_one * phi ** np.maximum(lag - 1, 0))
             expected[i, j] = 1.3**2 * rho.mean()
-    np.testing.assert_allclose(
-        residual_blocks.block_covariance(blocks, noise), expected, rtol=1e-9, atol=1e-15
-    )
+    found = residual_blocks.block_covariance(blocks, noise)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
 
 
 def test_blocks_hold_the_mean_residual_of_their_samples():

@@ -35,10 +35,8 @@ def dense(count, first_s, step_s, chain, memory):
             if of[i] != of[j]:
                 continue
             apart = np.abs(one[:, None] - other)
-            both = (1.0 - memory.white) * (
-                np.exp(-apart / memory.time_s) if memory.time_s > 0.0 else apart == 0
-            )
-            out[i, j] = (both + memory.white * (apart == 0.0)).mean()
+            lasting = np.exp(-apart / memory.time_s) if memory.time_s > 0.0 else apart == 0
+            out[i, j] = ((1.0 - memory.white) * lasting + memory.white * (apart == 0.0)).mean()
     return out
 
 
@@ -78,9 +76,8 @@ def test_determinant_and_quadratic_form_are_those_of_the_dense_covariance(case, 
     white = whitener(count.astype(float), step, gap, chain, memory)
     whitened = white(columns)
     assert white.log_det == pytest.approx(float(np.linalg.slogdet(covariance)[1]), abs=1e-9)
-    np.testing.assert_allclose(
-        whitened.T @ whitened, columns.T @ np.linalg.solve(covariance, columns), rtol=1e-9, atol=1e-9
-    )
+    expected = columns.T @ np.linalg.solve(covariance, columns)
+    np.testing.assert_allclose(whitened.T @ whitened, expected, rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(white(columns[:, 0]), whitened[:, 0])
 
 
@@ -199,9 +196,8 @@ def test_noise_stays_where_priors_pull_logs_far_from_where_they_are(model):
     away = best.point.moved(best.point.shared, own)
     parts = ours.system.derivatives(away, machine=False)
     tight = replace(best.prior, own=1e8 * np.ones(own.shape))
-    found = evidence.scan_memory(
-        ours.system, away, parts, tight, step_s=STEP, rough_N=best.noise.sigma_N, model=model
-    )
+    asked = {"step_s": STEP, "rough_N": best.noise.sigma_N, "model": model}
+    found = evidence.scan_memory(ours.system, away, parts, tight, **asked)
     assert found.sigma_N > 0.1 * best.noise.sigma_N
 
 

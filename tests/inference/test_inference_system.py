@@ -90,9 +90,8 @@ def test_derivatives_are_differences_of_predictions(machine, inside):
         if of_machine and machine[k - t] == 0.0:
             continue
         expected = by("shared", k, 1e-6 if of_machine else 1e-4)
-        assert np.abs(column - expected).max() <= max(worst, 1e-4) * max(
-            np.abs(expected).max(), 1e-3 * scale
-        ), k
+        size = max(np.abs(expected).max(), 1e-3 * scale)
+        assert np.abs(column - expected).max() <= max(worst, 1e-4) * size, k
     for k in range(ALL.size):
         expected = by("own", k, 1e-5 if k == 1 else 1e-4)
         # a shape adds most in the middle of a ramp, where that memory is longest

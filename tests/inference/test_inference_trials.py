@@ -109,9 +109,8 @@ def test_excluded_samples_stay_in_the_curve_and_out_of_the_numbers():
     force = trial.force_N.copy()
     force[:20] += 100.0
     spoiled = Trial("s", trial.time_s, trial.displacement_mm, force, source=trial.source)
-    guarded = fitted_log(
-        spoiled, Segmentation(1, 1, Contact(0, 0.0, 0.05), segmentation.phases, 0.2), guard=True
-    )
+    vague = Segmentation(1, 1, Contact(0, 0.0, 0.05), segmentation.phases, 0.2)
+    guarded = fitted_log(spoiled, vague, guard=True)
     assert not guarded.data.include[:20].all()
     found = summary(spoiled, segmentation, guarded)
     assert found.n_samples == int(guarded.data.include.sum()) < 400

@@ -218,12 +218,9 @@ def installed(monkeypatch):
     monkeypatch.setattr(grammar, "_OWN", {})
 
     def install(*laws):
-        points = [
-            SimpleNamespace(name="other-package", value="a:b", load=lambda law=law: law) for law in laws
-        ]
-        monkeypatch.setattr(
-            extras, "entry_points", lambda group: points if group == "tissueid.models" else []
-        )
+        one = {"name": "other-package", "value": "a:b"}
+        points = {"tissueid.models": [SimpleNamespace(**one, load=lambda law=law: law) for law in laws]}
+        monkeypatch.setattr(extras, "entry_points", lambda group: points.get(group, []))
         grammar._installed.cache_clear()
 
     yield install

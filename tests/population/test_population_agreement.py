@@ -32,9 +32,8 @@ def with_logs(*logs: Sequence[dict[str, Any]]) -> tuple[Member, ...]:
 
 
 def with_gains(*gains: tuple[float, ...]) -> tuple[Member, ...]:
-    return with_logs(
-        *([{"gain": gain, "run": k + 1, "path": f"{k}.csv"} for k, gain in enumerate(own)] for own in gains)
-    )
+    runs = [[{"gain": one, "run": k + 1, "path": f"{k}.csv"} for k, one in enumerate(own)] for own in gains]
+    return with_logs(*runs)
 
 
 def test_intraclass_correlation_is_the_ratio_of_variances():

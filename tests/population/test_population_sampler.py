@@ -23,9 +23,8 @@ def on_a_grid(y: np.ndarray, own: np.ndarray, priors: PopulationPriors) -> dict[
     log_sd = np.linspace(np.log(0.005), np.log(3.0), 1200)
     mu = np.linspace(y.mean() - 2.0, y.mean() + 2.0, 2001)
     variance = np.exp(2.0 * log_sd)[:, None] + own**2
-    level = -0.5 * np.log(variance).sum(axis=1)[:, None] - 0.5 * (
-        ((y[None, None, :] - mu[None, :, None]) ** 2) / variance[:, None, :]
-    ).sum(axis=2)
+    square = ((y[None, None, :] - mu[None, :, None]) ** 2) / variance[:, None, :]
+    level = -0.5 * (np.log(variance).sum(axis=1)[:, None] + square.sum(axis=2))
     between = priors.between
     level = level - 0.5 * (((log_sd - np.log(between.median)) / between.sd_ln) ** 2)[:, None]
     level = level - 0.5 * (mu / priors.mean_sd) ** 2
@@ -62,18 +61,16 @@ def test_the_slope_of_the_density_of_scales_is_its_change():
     rng = np.random.default_rng(6)
     p, count = 4, 3
     deviations = rng.standard_normal((count, 9, p))
-    density = ScalesDensity(
-        deviations.swapaxes(1, 2) @ deviations, np.full(count, 9.0), np.array([-1.0, 0.4, 2.0])
-    )
+    sums = deviations.swapaxes(1, 2) @ deviations
+    density = ScalesDensity(sums, np.full(count, 9.0), np.array([-1.0, 0.4, 2.0]))
     log_sd, z = 0.4 * rng.standard_normal((count, p)), np.tril(rng.standard_normal((count, p, p)), -1)
     slope = density(Scales(log_sd, z))[1]
     for k in range(p):
         for j in range(k + 1):
             # the diagonal stands for ln D
             step = 1e-5 * ((np.arange(p)[:, None] == k) & (np.arange(p) == j))
-            ends = [
-                density(Scales(log_sd + s * np.diag(step), z + s * np.tril(step, -1)))[0] for s in (1, -1)
-            ]
+            steps = [Scales(log_sd + s * np.diag(step), z + s * np.tril(step, -1)) for s in (1, -1)]
+            ends = [density(one)[0] for one in steps]
             expected = slope.log_sd[:, k] if j == k else slope.z[:, k, j]
             # a second-order difference of a density of some tens
             assert (ends[0] - ends[1]) / 2e-5 == pytest.approx(expected, rel=1e-5, abs=1e-5)

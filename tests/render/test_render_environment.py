@@ -68,9 +68,8 @@ def test_a_sphere_pushes_radially_and_counts_the_tip():
     assert infos[:, env.INFO_PENETRATION_M] == pytest.approx(0.032 - distance, abs=1e-12)
     touched = infos[:, env.INFO_PENETRATION_M] > 0.0
     assert (forces[~touched] == 0.0).all()
-    assert forces[touched] == pytest.approx(
-        np.outer(infos[touched, env.INFO_DEVICE_FORCE_N], direction), abs=1e-12
-    )
+    expected = np.outer(infos[touched, env.INFO_DEVICE_FORCE_N], direction)
+    assert forces[touched] == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_box_keeps_the_face_the_tip_came_in_by():

@@ -31,10 +31,8 @@ class Guided:
         self.said = np.zeros(gd.SAID_SIZE)
 
     def step(self, position: np.ndarray, dt: float) -> np.ndarray:
-        force = np.zeros(3)
-        gd.guidance_step(
-            self.block, 0, self.memory, np.asarray(position, dtype=float), dt, force, self.said, 0
-        )
+        force, place = np.zeros(3), np.asarray(position, dtype=float)
+        gd.guidance_step(self.block, 0, self.memory, place, dt, force, self.said, 0)
         return force
 
 
@@ -66,10 +64,8 @@ def test_the_stiffness_rises_as_the_height_falls_and_ends_flat() -> None:
     assert found[-2:] == [500.0, 500.0]
     assert (np.diff(found[:-1]) > 0.0).all()
     for z in (0.05, 0.01, 1e-4):
-        difference = (
-            gd.axial_stiffness(block, 0, z + 1e-7, False) - gd.axial_stiffness(block, 0, z - 1e-7, False)
-        ) / 2e-7
-        assert gd.axial_stiffness(block, 0, z, True) == pytest.approx(difference, rel=1e-5)
+        above, below = (gd.axial_stiffness(block, 0, z + step, False) for step in (1e-7, -1e-7))
+        assert gd.axial_stiffness(block, 0, z, True) == pytest.approx((above - below) / 2e-7, rel=1e-5)
     assert gd.axial_stiffness(block, 0, 1e-9, True) == pytest.approx(0.0, abs=1e-2)
 
 

@@ -108,9 +108,8 @@ def test_scales_that_nobody_means_are_refused(scales: dict[str, float]) -> None:
 def test_a_preset_needs_no_more_damping_than_is_assumed(name: str) -> None:
     check = preset_check(name)
     tissue = preset_tissue(name)
-    needed = required_damping(
-        tissue.model, tissue.theta, check.scaling, period_s=0.001, delay_ticks=ASSUMED_DEVICE.delay_ticks
-    )
+    loop = {"period_s": 0.001, "delay_ticks": ASSUMED_DEVICE.delay_ticks}
+    needed = required_damping(tissue.model, tissue.theta, check.scaling, **loop)
     assert needed <= ASSUMED_DEVICE.damping_N_s_per_m == 0.5
     assert check.scaling.peak_force_N <= 0.9 * 5.0
     assert tissue.model.is_passive(tissue.theta)
@@ -334,10 +333,9 @@ def test_an_answer_key_is_for_its_owner_and_never_overwritten(tmp_path):
 
 def test_an_unknown_tip_is_remarked_and_a_cone_that_the_bundle_states_has_no_radius():
     plane = tissue_block.parse_surface("plane")
-    assert (
-        "with which tip" in tissue_block.surface_remarks(replace(PAPER_A, tip_radius_mm=None), plane, None)[0]
-    )
-    cone = replace(PAPER_A, tip_radius_mm=None, tip=TipGeometry("cone", 30.0))
+    unknown = replace(PAPER_A, tip_radius_mm=None)
+    assert "with which tip" in tissue_block.surface_remarks(unknown, plane, None)[0]
+    cone = replace(unknown, tip=TipGeometry("cone", 30.0))
     assert tissue_block.surface_remarks(cone, plane, None) == []
 
 
@@ -388,8 +386,7 @@ def test_a_script_knows_its_strokes_switches_and_length():
     down, up = 4.5 / (250.0 / 60.0), 4.5 / 5.0
     assert script.switches_s == pytest.approx((REST_S + down + up,))
     assert script.duration_s == pytest.approx(REST_S + down + up + 1.0 + 0.05)
-    hand = script.hand(
-        motion_scale=5.0, surface_m=np.array([0.0, 0.0, 0.15]), inward=np.array([0.0, 0.0, -1.0])
-    )
+    surface, inward = np.array([0.0, 0.0, 0.15]), np.array([0.0, 0.0, -1.0])
+    hand = script.hand(motion_scale=5.0, surface_m=surface, inward=inward)
     assert hand.rigid
     assert hand.positions_m[2][2] == pytest.approx(0.15 - 0.020)

@@ -197,9 +197,8 @@ class TestInOneProcess:
 
     def test_a_signal_is_seen_by_the_loop(self, pipes):
         before = signal.getsignal(signal.SIGTERM)
-        killer = subprocess.Popen(
-            [sys.executable, "-c", f"import os, time; time.sleep(0.5); os.kill({os.getpid()}, 15)"]
-        )
+        program = f"import os, time; time.sleep(0.5); os.kill({os.getpid()}, 15)"
+        killer = subprocess.Popen([sys.executable, "-c", program])
         end = pipes.run(ServoPlan("sim", alive_wanted=False, ticks=20_000))
         killer.wait()
         assert end.reason == "signal"

@@ -86,9 +86,8 @@ def test_what_another_program_asks_for_is_taken_over(bundle: Path) -> None:
     session._obey(BridgeRequest(plane=Plane((0.0, 0.01, 0.12), (0.0, 1.0, 0.0))))
     radius_m = 2e-3 * 5.0
     for block in session._blocks:
-        assert block[SURFACE : SURFACE + 11] == pytest.approx(
-            [0.0, 0.0, 0.01, 0.12, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, radius_m]
-        )
+        expected = [0.0, 0.0, 0.01, 0.12, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, radius_m]
+        assert block[SURFACE : SURFACE + 11] == pytest.approx(expected)
     session._obey(BridgeRequest(stop=True))
     assert session._over()
 

@@ -187,9 +187,8 @@ def drawn_session(seed: int, *, pool_size: int, controller: bool = False) -> Fig
     name = list(PRESETS)[int(rng.integers(len(PRESETS)))]
     tissue, needs = pool(name, pool_size)[int(rng.integers(pool_size))]
     delay = float(rng.choice(DELAYS))
-    full = scaling_for(
-        tissue.model, tissue.theta, clamp_N=LIMITS.clamp_N, fastest_mm_s=tissue.speeds_mm_s[1]
-    ).force
+    most = {"clamp_N": LIMITS.clamp_N, "fastest_mm_s": tissue.speeds_mm_s[1]}
+    full = scaling_for(tissue.model, tissue.theta, **most).force
     if near:
         scale = full * rng.uniform(0.3, 1.0)
         damping = needs[delay] * scale / rng.uniform(0.9, 1.0)
@@ -255,9 +254,8 @@ def wall(*, controller: bool) -> Figures:
     tissue = Tissue(model, np.array([250.0, 0.0, 0.0]), (1.0, 10.0))
     hand = preset("tap", surface_m=np.array(CENTRE_M), inward=INWARD, depth_m=0.004, rest_s=0.6)
     hand = replace(hand, stiffness_N_per_m=200.0, damping_N_s_per_m=0.1)
-    device = SimulatedDevice(
-        LIMITS, arm=Arm(damping_N_s_per_m=0.0, friction_N=0.0), hand=hand, delay_ticks=2.0
-    )
+    arm = Arm(damping_N_s_per_m=0.0, friction_N=0.0)
+    device = SimulatedDevice(LIMITS, arm=arm, hand=hand, delay_ticks=2.0)
     drawn = {"resting": False, "near": False, "share_of_bound": np.inf}
     return in_closed_loop(device, tissue, 0.02, np.full(2300, 1e-3), controller=controller, **drawn)
 

@@ -33,12 +33,11 @@ def test_each_log_of_the_named_protocol_is_divided_at_its_corner(rate_Hz):
         assert kinds(found) == (["ramp", "hold"] if held else ["ramp"]), log.name
         assert ("no_hold" in codes(found)) is not held
         if held:
-            corner = log.truth["depth_mm"] / log.truth["speed_mm_s"]
+            speed = log.truth["speed_mm_s"]
+            corner = log.truth["depth_mm"] / speed
             assert found.phases[1].start_s == pytest.approx(corner, abs=1.0 / rate_Hz)
             # chord of a ramp whose corner lies between samples
-            assert found.phases[0].speed_mm_s == pytest.approx(
-                log.truth["speed_mm_s"], rel=1.5 / (corner * rate_Hz)
-            )
+            assert found.phases[0].speed_mm_s == pytest.approx(speed, rel=1.5 / (corner * rate_Hz))
         assert found.compression_sign == found.force_sign == 1
         contact = found.contact
         assert (contact.in_record, contact.index) == (False, 0), log.name

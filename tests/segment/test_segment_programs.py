@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from closed_forms import branch_state
-from told import kinds
+from told import divided, kinds
 
 from tissueid.segment import segment
 from tissueid.trial import Protocol, Segmentation, Trial
@@ -517,11 +517,9 @@ def test_other_units_of_time_depth_and_force_give_the_same_phases() -> None:
     rng = np.random.default_rng(11)
     for seed in range(500_000, 500_020):
         trial = replace(draw(seed)[0], protocol=Protocol())
-        seconds, millimetres, newtons = 10.0 ** rng.uniform([-2.0, -3.0, -3.0], [2.0, 1.0, 3.0])
-        other = Trial(
-            "other", trial.time_s * seconds, trial.displacement_mm * millimetres, trial.force_N * newtons
-        )
-        here, there = segment(trial), segment(other)
+        seconds, mm, newtons = 10.0 ** rng.uniform([-2.0, -3.0, -3.0], [2.0, 1.0, 3.0])
+        here = segment(trial)
+        there = divided(trial.time_s * seconds, trial.displacement_mm * mm, trial.force_N * newtons)
         assert kinds(there) == kinds(here), seed
         moved = [a.start - b.start for a, b in zip(here.phases, there.phases, strict=True)]
         assert np.abs(moved).max() <= EDGE_SAMPLES, seed

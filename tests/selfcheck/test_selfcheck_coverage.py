@@ -96,9 +96,8 @@ TISSUE = ("static", "stiffness", "relaxation", "viscosity", "force_N at")
 
 def verdict_on(case: Case, simulations: int, folder: Path, *, workers: int = 1) -> Verdict:
     with Checkpoint(folder / "records.jsonl", case.name) as checkpoint:
-        records = run_simulations(
-            case.check(), checkpoint, simulations=simulations, seed=case.seed, workers=workers
-        )
+        asked = {"simulations": simulations, "seed": case.seed, "workers": workers}
+        records = run_simulations(case.check(), checkpoint, **asked)
     return verdict_of(records)
 
 

@@ -183,9 +183,8 @@ def test_of_several_specimens_one_is_named_and_none_is_told_with_its_reason(monk
         of_these([trial("a.csv", stiffness=0.0)])
     name, protocol, _ = of_these(both, specimen="heart")
     assert (name, [log.name for log in protocol.logs]) == ("heart", ["b.csv"])
-    empty = replace(
-        identification([], refused=True), exit=structs.replace(identification([]).exit, reasons=("why",))
-    )
+    ended = structs.replace(identification([]).exit, reasons=("why",))
+    empty = replace(identification([], refused=True), exit=ended)
     monkeypatch.setattr("tissueid.selfcheck.protocol.identify", lambda *_, **__: empty)
     with pytest.raises(InputError, match="nothing that can be fitted; the first: why"):
         of_these([trial("a.csv")])

@@ -27,9 +27,8 @@ def records_of(check: NormalMean, simulations: int, *, seed: int = 11) -> tuple[
 def simulated(path: Path, simulations: int, **options: Any) -> tuple[Record, ...]:
     """Records of simulations that go on with what a file holds."""
     with Checkpoint(path, "d") as checkpoint:
-        return runs.run_simulations(
-            NormalMean(), checkpoint, simulations=simulations, **{"seed": 3, **options}
-        )
+        asked = {"simulations": simulations, "seed": 3, **options}
+        return runs.run_simulations(NormalMean(), checkpoint, **asked)
 
 
 def test_a_right_posterior_is_calibrated():

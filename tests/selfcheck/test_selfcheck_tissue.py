@@ -92,9 +92,8 @@ def test_a_contact_that_is_stated_is_not_looked_for(monkeypatch):
         return of_prior(trials, **options)
 
     identified_by(monkeypatch, watched)
-    logs = tuple(
-        replace(log, contact_sd_mm=sd) for log, sd in zip(check_of().logs, (0.01, 0.02), strict=True)
-    )
+    ramp, hold = check_of().logs
+    logs = (replace(ramp, contact_sd_mm=0.01), replace(hold, contact_sd_mm=0.02))
     for stated in (False, True):
         replace(check_of(), logs=logs, contact_stated=stated)(np.random.default_rng(2))
     assert asked[0] == SegmentOptions()
@@ -123,9 +122,8 @@ def test_the_order_of_theta_is_that_of_its_names(monkeypatch):
 def test_a_viscosity_is_compared_at_half_of_the_fitted_depth(monkeypatch):
     identified_by(monkeypatch, of_prior)
     found = check_of()(np.random.default_rng(4))
-    k0, k1, tau = (
-        found.truth[name] for name in ("stiffness_0_N_per_mm", "stiffness_1_N_per_mm2", "relaxation_time_s")
-    )
+    names = ("stiffness_0_N_per_mm", "stiffness_1_N_per_mm2", "relaxation_time_s")
+    k0, k1, tau = (found.truth[name] for name in names)
     # the last sample lies at 3.92 mm of 4: 240 mm/min at 50 Hz
     depth = max(log.depth_mm.max() for log in check_of().logs)
     assert found.truth["viscosity_N_s_per_mm"] == pytest.approx((k0 + 0.5 * depth * k1) * tau, rel=1e-12)
@@ -149,9 +147,8 @@ def test_the_quoted_interval_counts_where_there_is_one(monkeypatch):
     # a parameter without an end, and a force, which is quoted nowhere: the central interval of the draws
     assert at_95["static_1_N_per_mm"] > 10
     assert at_95["force_N at 4 mm, 4 mm/s"] > 10
-    assert {one.coverage[-1].fraction for one in total.parameters if not one.name.startswith("force")} == {
-        1.0
-    }
+    quoted = [one for one in total.parameters if not one.name.startswith("force")]
+    assert {one.coverage[-1].fraction for one in quoted} == {1.0}
 
 
 @pytest.mark.parametrize(

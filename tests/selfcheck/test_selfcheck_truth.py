@@ -32,9 +32,8 @@ DRAWN = 2000
 def truths(priors: Priors, *, defects: bool = False, pooling: str = "partial", count: int = DRAWN) -> list:
     logs = tuple(ProtocolLog("log", np.arange(2.0), np.arange(2.0), sd) for sd in (0.01, 0.02))
     centre = Centre(MODEL, THETA, sigma_N=0.5, phi=0.9, pooling=pooling)
-    check = replace(
-        tissue_check(Protocol("two logs", logs, (1.0, 1.0)), centre, defects=defects), priors=priors
-    )
+    check = tissue_check(Protocol("two logs", logs, (1.0, 1.0)), centre, defects=defects)
+    check = replace(check, priors=priors)
     rng = np.random.default_rng(17)
     return [check.truth(rng) for _ in range(count)]
 
@@ -128,9 +127,8 @@ def test_numbers_are_those_of_the_contact_model():
     for depth, speed in points:
         expected = [loading_force(MODEL, row, np.array([depth]), speed_mm_s=speed)[0] for row in theta]
         # the same closed form, summed in another order
-        np.testing.assert_allclose(
-            numbers[f"force_N at {depth:.3g} mm, {speed:.3g} mm/s"], expected, rtol=1e-12
-        )
+        found = numbers[f"force_N at {depth:.3g} mm, {speed:.3g} mm/s"]
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
     assert numbers["viscosity_N_s_per_mm_b2"][0] == pytest.approx((8.0 + 4.0) * 0.6, rel=1e-12)
     assert numbers["relaxation_time_s"][0] == 0.02
 

@@ -42,9 +42,8 @@ def some_records(count: int, seed: int = 1) -> np.ndarray:
 
 def test_every_field_arrives_with_the_digits_of_the_layout():
     records = some_records(50)
-    frame = frames.read_frame(
-        frames.write_frame(frames.samples_of(records), first=7, now_s=12.5, dropped=3, round_trip_us=9)
-    )
+    samples = frames.samples_of(records)
+    frame = frames.read_frame(frames.write_frame(samples, first=7, now_s=12.5, dropped=3, round_trip_us=9))
     assert (frame.first, frame.now_s, frame.dropped, frame.round_trip_us) == (7, 12.5, 3, 9)
     assert not frame.ended
     assert (frame.samples["time_s"] == records["time_s"]).all()

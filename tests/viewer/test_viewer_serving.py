@@ -56,9 +56,8 @@ def recorded(folder: Path) -> Path:
 
 
 def ws(viewer: ServedViewer) -> str:
-    return viewer.url.replace("http", "ws").replace("/?", "/ws?").removesuffix("/") + (
-        "" if "?" in viewer.url else "/ws"
-    )
+    path, mark, query = viewer.url.replace("http", "ws").partition("?")
+    return f"{path}ws{mark}{query}"
 
 
 def test_a_process_plays_a_log(tmp_path):
