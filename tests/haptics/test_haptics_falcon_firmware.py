@@ -48,10 +48,6 @@ def bare(failing_tries: int = 0, **wire: int) -> Direct:
     return Direct(EmulatedFalcon(settings), **wire)
 
 
-def running() -> Direct:
-    return Direct(EmulatedFalcon(EmulatorSettings(period_s=1e-3)))
-
-
 @pytest.mark.parametrize("wire", [{}, {"long_greeting": True}, {"silent_hellos": 20}])
 def test_an_upload_starts_the_firmware_once_a_hello_is_answered(told, wire):
     transport = bare(**wire)
@@ -104,7 +100,7 @@ def test_a_device_that_stays_silent_gets_no_ten_tries(monkeypatch, told):
 
 
 def test_a_file_is_asked_for_where_none_runs_and_a_missing_one_closes_the_transport(told):
-    there, transport = running(), bare()
+    there, transport = Direct(EmulatedFalcon(EmulatorSettings(period_s=1e-3))), bare()
     assert module.ensure_running(lambda: there, module.find_firmware, told) is there
     with pytest.raises(DeviceError, match=r"--firmware FILE or \$TISSUEID_FALCON_FIRMWARE"):
         module.ensure_running(lambda: transport, module.find_firmware, told)

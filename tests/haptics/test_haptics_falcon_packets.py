@@ -90,22 +90,16 @@ def garbage(random: np.random.Generator) -> bytes:
     return kinds[random.integers(len(kinds))]
 
 
-def noisy_stream(seed: int, count: int) -> tuple[bytes, list[bytes]]:
-    """Garbage of all kinds, some 20 bytes a piece, with whole replies inside."""
-    random = np.random.default_rng(seed)
-    pieces: list[bytes] = []
-    inside: list[bytes] = []
-    for _ in range(count):
-        pieces.append(garbage(random))
-        if random.random() < 0.5:
-            inside.append(drawn_reply(random))
-            pieces.append(inside[-1])
-    return b"".join(pieces), inside
-
-
 @pytest.mark.needs_jit
 def test_a_million_bytes_of_garbage_hide_no_packet_and_invent_none():
-    stream, inside = noisy_stream(seed=5, count=38_000)
+    """Garbage of all kinds, some 20 bytes a piece, with whole replies inside."""
+    random, stream, inside = np.random.default_rng(5), bytearray(), []
+    for _ in range(38_000):
+        stream += garbage(random)
+        if random.random() < 0.5:
+            inside.append(drawn_reply(random))
+            stream += inside[-1]
+    stream = bytes(stream)
     assert len(stream) > 1_000_000
     expected = [read_by_table(found) for found in WHOLE.findall(stream)]
     parser = PacketParser()

@@ -72,21 +72,16 @@ def model_force(model: ChannelModel, theta, log: FittedLog, adjustment: Adjustme
     return adjustment.gain * model.force(theta, ContactPath(log.data.time_s, np.maximum(x, 0.0)))
 
 
-def phases_of(trial: Trial) -> tuple[Phase, ...]:
-    """Ramp, and hold where there is one, from the protocol that made the trial."""
+def true_segmentation(trial: Trial, *, sd_mm: float = KNOWN_CONTACT_MM, noise_N: float = 0.0) -> Segmentation:
+    """Ramp, and hold where there is one, from the protocol; contact at the first sample and at zero."""
     time, n = trial.time_s, trial.time_s.size
     speed, depth = trial.protocol.speed_mm_s, trial.protocol.depth_mm
     corner = min(int(np.searchsorted(time, depth / speed - 1e-9)), n - 1)
     ramp = Phase("ramp", 0, corner + 1, float(time[0]), float(time[corner]), speed)
+    phases = (ramp, Phase("hold", corner, n, float(time[corner]), float(time[-1]), 0.0))
     if corner >= n - 2:
-        return (replace(ramp, stop=n, end_s=float(time[-1])),)
-    return ramp, Phase("hold", corner, n, float(time[corner]), float(time[-1]), 0.0)
-
-
-def true_segmentation(trial: Trial, *, sd_mm: float = KNOWN_CONTACT_MM, noise_N: float = 0.0) -> Segmentation:
-    """Contact at the first sample and at zero displacement, as the synthetic recordings have it."""
-    contact = Contact(index=0, displacement_mm=0.0, sd_mm=sd_mm)
-    return Segmentation(1, 1, contact, phases_of(trial), noise_N)
+        phases = (replace(ramp, stop=n, end_s=float(time[-1])),)
+    return Segmentation(1, 1, Contact(0, 0.0, sd_mm), phases, noise_N)
 
 
 def handle_for(trial: Trial, segmentation: Segmentation) -> LogHandle:

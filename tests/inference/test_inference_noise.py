@@ -40,14 +40,6 @@ def dense(count, first_s, step_s, chain, memory):
     return out
 
 
-def laid_out(count, step_s, gap_s):
-    """Time of the first sample of each block."""
-    first = [0.0]
-    for n, h, gap in zip(count[:-1], step_s[:-1], gap_s[1:], strict=True):
-        first.append(first[-1] + (n - 1) * h + gap)
-    return np.array(first)
-
-
 COUNT = np.array([3, 1, 4, 1, 5, 9, 2])
 #: Samples of each block, a chain that starts, and a block that comes late.
 CASES = {
@@ -71,7 +63,8 @@ def test_determinant_and_quadratic_form_are_those_of_the_dense_covariance(case, 
     gap = step * (rng.uniform(1.0, 4.0, count.size) if case == "steps" else 1.0)
     if late is not None:
         gap[late] = 7.3 * STEP
-    covariance = dense(count, laid_out(count, step, gap), step, chain, memory)
+    first = np.append(0.0, np.cumsum((count[:-1] - 1) * step[:-1] + gap[1:]))
+    covariance = dense(count, first, step, chain, memory)
     columns = rng.standard_normal((count.size, 3))
     white = whitener(count.astype(float), step, gap, chain, memory)
     whitened = white(columns)

@@ -53,26 +53,21 @@ def found(degree):
     return model, path, force, ours
 
 
-def raw_lmfit(model, path, force, start):
+@pytest.mark.parametrize("degree", [0, 1])
+def test_optimum_and_standard_errors_are_those_of_lmfit_on_raw_samples(degree):
     """lmfit on all N residuals in the parameters of the model."""
-    parameters = lmfit.Parameters()
-    for i, value in enumerate(start):
-        parameters.add(f"t{i}", value=value)
+    model, path, force, ours = found(degree)
+    start = lmfit.Parameters()
+    start.add_many(*((f"t{i}", value) for i, value in enumerate(1.1 * TRUTH[degree])))
 
     def values_of(parameters):
         return np.array([one.value for one in parameters.values()])
 
-    return lmfit.minimize(
-        lambda p: model.force(values_of(p), path) - force, parameters, method="leastsq",
+    raw = lmfit.minimize(
+        lambda p: model.force(values_of(p), path) - force, start, method="leastsq",
         Dfun=lambda p: model.jacobian(values_of(p), path), xtol=1e-12, ftol=1e-15,
     )  # fmt: skip
-
-
-@pytest.mark.parametrize("degree", [0, 1])
-def test_optimum_and_standard_errors_are_those_of_lmfit_on_raw_samples(degree):
-    model, path, force, ours = found(degree)
-    raw = raw_lmfit(model, path, force, 1.1 * TRUTH[degree])
-    values = np.array([one.value for one in raw.params.values()])
+    values = values_of(raw.params)
     errors = np.array([one.stderr for one in raw.params.values()])
     tissue = estimate_tissue(ours)
     assert (np.abs(tissue.theta - values) <= WEAK * errors).all()

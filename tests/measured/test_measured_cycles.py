@@ -19,23 +19,20 @@ from tissueid.trial import Contact, Phase, Segmentation, Source, Trial
 STIFFNESS, TAU_S, SLOPE = 30.0, 0.01, 12.0
 
 
-def phases_of(time, turns, kinds):
-    """Phases between sample numbers; cycles know their deepest sample."""
-    found = []
-    for (first, last), kind in zip(pairwise(turns), kinds, strict=True):
-        peak = (first + last) // 2 if kind == "cycle" else None
-        speed = {"ramp": 1.0, "hold": 0.0, "retract": -1.0, "cycle": 1.0}[kind]
-        found.append(Phase(kind, first, last + 1, float(time[first]), float(time[last]), speed, peak))
-    return tuple(found)
+SPEEDS = {"ramp": 1.0, "hold": 0.0, "retract": -1.0, "cycle": 1.0}
 
 
 def recording(time, depth, force, turns, kinds, *, noise=0.0, seed=None):
-    """A trial and its segmentation, contact at zero depth."""
+    """A trial and its segmentation between sample numbers; contact at zero depth, cycles turn half-way."""
     if seed is not None:
         force = force + noise * np.random.default_rng(seed).standard_normal(force.size)
     trial = Trial("knee", time, depth, force, source=Source(path="loop.csv"))
     contact = Contact(index=0, displacement_mm=0.0, sd_mm=1e-4)
-    return trial, Segmentation(1, 1, contact, phases_of(time, turns, kinds), noise)
+    phases = []
+    for (a, b), kind in zip(pairwise(turns), kinds, strict=True):
+        peak = (a + b) // 2 if kind == "cycle" else None
+        phases.append(Phase(kind, a, b + 1, float(time[a]), float(time[b]), SPEEDS[kind], peak))
+    return trial, Segmentation(1, 1, contact, tuple(phases), noise)
 
 
 def there_and_back(x, force):

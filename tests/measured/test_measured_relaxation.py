@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +10,6 @@ from scipy.optimize import curve_fit
 
 from tissueid.measured import relaxation
 from tissueid.trial import Contact, Phase, Protocol, Segmentation, Trial
-
-JIT_OFF = os.environ.get("NUMBA_DISABLE_JIT") == "1"
-needs_jit = pytest.mark.skipif(JIT_OFF, reason="too slow without compilation")
 
 TIME = np.arange(1500) * 0.02
 
@@ -34,7 +30,7 @@ def fit_exponentials(time, force, count):
         ([5.0], [0.1]),
         ([5.0], [3.0]),
         ([4.0, 2.0], [0.2, 4.0]),
-        pytest.param([3.0, 2.0, 1.5], [0.05, 0.6, 7.0], marks=needs_jit),
+        pytest.param([3.0, 2.0, 1.5], [0.05, 0.6, 7.0], marks=pytest.mark.needs_jit),
     ],
 )
 def test_sums_of_exponentials_without_noise_are_recovered(amplitudes, taus):
@@ -60,7 +56,7 @@ def test_one_exponential_equals_curve_fit_on_noisy_data():
         assert ours == pytest.approx(theirs, rel=1e-9)
 
 
-@needs_jit
+@pytest.mark.needs_jit
 def test_two_and_three_exponentials_fit_no_worse_than_curve_fit_from_the_truth():
     for seed in range(4):
         rng = np.random.default_rng(seed)

@@ -48,13 +48,10 @@ def of_law(name: str, depth_mm: float = DEPTH_MM, window_s: float = 20.0) -> tup
     return model, typical(model)
 
 
-def _coordinate(bounded: bool) -> st.SearchStrategy[float]:
-    return st.floats(0.0 if bounded else -2.0, 2.0, width=32)
-
-
 def cone_coordinates(degree: int) -> st.SearchStrategy[np.ndarray]:
     """Cone coordinates of a polynomial of that degree, the boundary of the cone included."""
-    return st.tuples(*(_coordinate(degree == 2 and i == 1) for i in range(degree + 1))).map(np.array)
+    lowest = [0.0 if degree == 2 and i == 1 else -2.0 for i in range(degree + 1)]
+    return st.tuples(*(st.floats(low, 2.0, width=32) for low in lowest)).map(np.array)
 
 
 @st.composite

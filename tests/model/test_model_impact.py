@@ -68,12 +68,6 @@ def rendered_drop(stiffness_SI: float, restitution: float, *, delay_ticks: int) 
     raise AssertionError("the mass never left")
 
 
-def forces(depths: list[float], *, hysteresis_mm: float) -> list[float]:
-    """Forces at ticks of 1 ms, k = 10 N/mm, chi = 2."""
-    block, memory = packed(10.0, 1.0, 2.0, slowest_mm_s=20.0, hysteresis_mm=hysteresis_mm)
-    return [float(impact_step(block, 0, memory, 0, depth, 1e-3)) for depth in depths]
-
-
 def test_the_speed_is_filtered_before_it_is_latched() -> None:
     block, memory = packed(10.0, 1.0, 1.0, filter_s=5e-3)
     for k in range(40):
@@ -121,7 +115,9 @@ CHATTER = [-0.2, -0.1, 0.1, -0.01, 0.01]
     ],
 )
 def test_force_follows_the_speed_latched_at_contact_and_never_pulls(depths, hysteresis_mm, at, expected):
-    found = forces(depths, hysteresis_mm=hysteresis_mm)
+    """Ticks of 1 ms, k = 10 N/mm, chi = 2."""
+    block, memory = packed(10.0, 1.0, 2.0, slowest_mm_s=20.0, hysteresis_mm=hysteresis_mm)
+    found = [float(impact_step(block, 0, memory, 0, depth, 1e-3)) for depth in depths]
     assert found[at] == pytest.approx(expected, abs=1e-12)
     assert min(found) == 0.0
 

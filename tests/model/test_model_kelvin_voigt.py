@@ -53,20 +53,18 @@ def test_ramp_and_hold_with_the_corner_on_the_grid_matches_closed_form(branches:
     np.testing.assert_allclose(model.force(theta, ContactPath(time, depth)), expected, rtol=1e-9)
 
 
-def equation_5(degree: int) -> Callable[[np.ndarray, float, np.ndarray], np.ndarray]:
-    """dF/dt at a depth and a speed, of a tissue of one branch."""
-    model, theta = tissue(1, degree)
-    static, stiffness, tau = model.split(theta)
-    fs = np.polynomial.Polynomial([0.0, *static])
-    k = np.polynomial.Polynomial(stiffness[0])
-    return lambda x, v, f: (fs.deriv()(x) + k(x)) * v + (k.deriv()(x) / k(x) * v - 1.0 / tau[0]) * (f - fs(x))
-
-
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("degree", [0, 1, 2])
 def test_linear_legs_match_a_solver_of_equation_5(degree: int) -> None:
+    (model, theta), path = tissue(1, degree), wavy_path(24)
+    static, stiffness, tau = model.split(theta)
+    fs, k = np.polynomial.Polynomial([0.0, *static]), np.polynomial.Polynomial(stiffness[0])
+
+    def rate(x, v, f):
+        """Rate of the force at a depth and a speed."""
+        return (fs.deriv()(x) + k(x)) * v + (k.deriv()(x) / k(x) * v - 1.0 / tau[0]) * (f - fs(x))
+
     # the same piecewise linear path for both: no error of sampling, only that of the solver
-    (model, theta), rate, path = tissue(1, degree), equation_5(degree), wavy_path(24)
     force = np.zeros(path.time_s.size)
     for i in range(1, force.size):
         (start, end), (x0, x1) = path.time_s[i - 1 : i + 1], path.depth_mm[i - 1 : i + 1]

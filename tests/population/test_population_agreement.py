@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,18 +20,13 @@ from tissueid.population.cohort import specimens_for_mean, specimens_for_sd
 from tissueid.population.members import Member
 
 
-def with_logs(*logs: Sequence[dict[str, Any]]) -> tuple[Member, ...]:
-    """Specimens, each with logs that differ from a first one as told."""
-    made = members(len(logs), repeats=1, draws=100)
-    return tuple(
-        replace(one, trials=tuple(replace(one.trials[0], **said) for said in own))
-        for one, own in zip(made, logs, strict=True)
-    )
-
-
 def with_gains(*gains: tuple[float, ...]) -> tuple[Member, ...]:
-    runs = [[{"gain": one, "run": k + 1, "path": f"{k}.csv"} for k, one in enumerate(own)] for own in gains]
-    return with_logs(*runs)
+    """Specimens, each with logs that differ in their gains."""
+    made = []
+    for one, own in zip(members(len(gains), repeats=1, draws=100), gains, strict=True):
+        logs = ({"gain": gain, "run": k + 1, "path": f"{k}.csv"} for k, gain in enumerate(own))
+        made.append(replace(one, trials=tuple(replace(one.trials[0], **log) for log in logs)))
+    return tuple(made)
 
 
 def test_intraclass_correlation_is_the_ratio_of_variances():

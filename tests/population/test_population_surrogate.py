@@ -52,17 +52,17 @@ def test_a_prior_that_varies_is_divided_out_of_the_likelihood():
     assert 1.0 / np.sqrt(found.precision[0, 0]) == pytest.approx(0.05, rel=0.1)
 
 
-def open_by_a_factor(count: int, spread: float) -> tuple[list[Member], np.ndarray]:
-    """Specimens whose forces are known but for a gain of each, and their true places."""
+def test_forces_that_are_open_by_a_factor_do_not_draw_the_population_to_no_force():
+    """Specimens whose forces are known but for a gain of each."""
     rng = np.random.default_rng(33)
     centre = COORDINATES.to_phi(TYPICAL)[0][0]
     gain = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
     made, places = [], []
-    while len(made) < count:
+    while len(made) < 10:
         place = centre + 0.15 * rng.standard_normal(5)
-        error = spread * rng.standard_normal()
+        error = 0.3 * rng.standard_normal()
         # gains of two logs, whose own spread is open as well: longer tails than a normal
-        scatter = error + spread * rng.standard_t(5.0, size=(2000, 1))
+        scatter = error + 0.3 * rng.standard_t(5.0, size=(2000, 1))
         own = np.array([3e-4, 3e-4, 5e-4, 0.015, 0.05]) * rng.standard_normal((2000, 5))
         phi = place + gain * scatter + own
         theta = COORDINATES.to_theta(phi)
@@ -71,17 +71,12 @@ def open_by_a_factor(count: int, spread: float) -> tuple[list[Member], np.ndarra
         model = ModelChoice("kelvin-voigt", 1, 3, 0, "partial")
         made.append(Member(f"s{len(made)}", model, 8.0, theta, -COORDINATES.log_jacobian(phi)))
         places.append(place)
-    return made, np.array(places)
-
-
-def test_forces_that_are_open_by_a_factor_do_not_draw_the_population_to_no_force():
-    made, places = open_by_a_factor(10, 0.3)
     stage, _ = stage_one(made, COORDINATES)
     assert not stage.linear[2]
     found = sample_population(stage, plain_design(10), None, SamplerOptions(chains=4))
     assert found.converged
     # ten specimens of a spread of 0.15, each open by 0.3: their mean is known to a tenth
-    assert np.abs(np.median(found.mean, axis=0) - places.mean(axis=0)).max() < 0.3
+    assert np.abs(np.median(found.mean, axis=0) - np.mean(places, axis=0)).max() < 0.3
 
 
 def test_what_noise_leaves_open_is_even_in_the_quantity_and_what_a_gain_does_in_its_logarithm():

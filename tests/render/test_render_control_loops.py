@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -226,27 +227,6 @@ def some_tissues(count: int, seed: int) -> list[Tissue]:
     return found
 
 
-def some_operators(count: int, seed: int) -> list[control.Mechanics]:
-    rng = np.random.default_rng(seed)
-    low, high = np.log([0.3, 0.5, 5.0]), np.log([3.0, 20.0, 600.0])
-    return [control.Mechanics(*np.exp(rng.uniform(low, high))) for _ in range(count)]
-
-
-def largest_errors_mm(variant: str, operators: list[control.Mechanics], tissues: list[Tissue]) -> np.ndarray:
-    """Of every loop with 1.5 times the bound, from th = truth (so th1 = M); infinite where it diverged."""
-    found = []
-    for operator in operators:
-        for tissue in tissues:
-            settings = control.ControlSettings(tissue, variant=variant, operator=operator)
-            tool = control.VirtualTool(1.5 * control.virtual_mass_bound(settings))
-            truth = settings.estimated_truth()
-            settings = replace(settings, tool=tool, start_estimates=truth, seconds=6.0)
-            for task in ("sustained", "free-contact"):
-                run = simulate(settings.task(task))
-                found.append(np.inf if run.diverged_s is not None else float(run.error_mm.max()))
-    return np.array(found)
-
-
 #: A loop counts as bounded while its device stays this near to the virtual tool [mm].
 NEAR_MM = 20.0
 
@@ -255,7 +235,19 @@ NEAR_MM = 20.0
 @pytest.mark.parametrize("variant", ["A", "B"])
 @pytest.mark.parametrize(("hands", "tissues"), [(3, 2), pytest.param(200, 20, marks=pytest.mark.slow)])
 def test_many_hands_on_many_tissues_are_bounded(variant, hands, tissues):
-    errors = largest_errors_mm(variant, some_operators(hands, seed=1), some_tissues(tissues, seed=2))
+    """Loops with 1.5 times the bound, from th = truth (so th1 = M); infinite where one diverged."""
+    rng, errors = np.random.default_rng(1), []
+    low, high = np.log([0.3, 0.5, 5.0]), np.log([3.0, 20.0, 600.0])
+    operators = [control.Mechanics(*np.exp(rng.uniform(low, high))) for _ in range(hands)]
+    for operator, tissue in product(operators, some_tissues(tissues, seed=2)):
+        settings = control.ControlSettings(tissue, variant=variant, operator=operator)
+        tool = control.VirtualTool(1.5 * control.virtual_mass_bound(settings))
+        truth = settings.estimated_truth()
+        settings = replace(settings, tool=tool, start_estimates=truth, seconds=6.0)
+        for task in ("sustained", "free-contact"):
+            run = simulate(settings.task(task))
+            errors.append(np.inf if run.diverged_s is not None else float(run.error_mm.max()))
+    errors = np.array(errors)
 
     print(  # noqa: T201
         f"variant {variant}: {errors.size} loops ({hands} hands, {tissues} tissues, 2 pushes), "

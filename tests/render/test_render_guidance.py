@@ -36,14 +36,10 @@ class Guided:
         return force
 
 
-def elastic(plan: Guidance) -> Guidance:
-    """Without the term in the velocity."""
-    return replace(plan, pull=replace(plan.pull, tau_s=0.0))
-
-
 def energy_of_loop(plan: Guidance, loop: np.ndarray) -> float:
     """Work the environment does on the hand over a closed path [J], by Simpson's rule a piece."""
-    guided = Guided(elastic(plan))
+    # without the term in the velocity
+    guided = Guided(replace(plan, pull=replace(plan.pull, tau_s=0.0)))
     forces = np.array([guided.step(point, 0.0) for point in loop])
     middle = np.array([guided.step(point, 0.0) for point in 0.5 * (loop[1:] + loop[:-1])])
     mean = (forces[1:] + forces[:-1] + 4.0 * middle) / 6.0

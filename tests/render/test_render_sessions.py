@@ -139,13 +139,6 @@ def least_margin(energy: np.ndarray, depth: np.ndarray, per_tick_J: np.ndarray) 
     return margin, kept
 
 
-def swing_of(counts: np.ndarray) -> float:
-    """Counts that a grip went both ways: a creeping tissue drifts one way."""
-    up = np.max(counts - np.minimum.accumulate(counts))
-    down = np.max(np.maximum.accumulate(counts) - counts)
-    return float(min(up, down))
-
-
 def in_closed_loop(
     device: SimulatedDevice,
     tissue: Tissue,
@@ -170,10 +163,13 @@ def in_closed_loop(
     slope = np.maximum(tissue.model.static_slope(tissue.theta, inside), 0.0) * factor
     counted = 0.5 * slope * quantum**2 * np.abs(np.diff(counts, prepend=counts[0])) * (depth > 0.0)
     kicks = np.linalg.norm(np.diff(rows[:, 5:], axis=0), axis=1)
+    last = counts[-QUIET_TICKS:]
+    # counts that the grip went both ways: a creeping tissue drifts one way
+    swing = min(np.max(last - np.minimum.accumulate(last)), np.max(np.maximum.accumulate(last) - last))
     return Figures(
         *least_margin(energy, depth, counted), float(ledger.min()),
         float(np.diff(force, prepend=0.0).max()), float(force.max()), float(kicks.max()),
-        swing_of(counts[-QUIET_TICKS:]), float(inside.max()), *end, **drawn,
+        float(swing), float(inside.max()), *end, **drawn,
     )  # fmt: skip
 
 

@@ -71,16 +71,12 @@ def test_a_test_that_reached_its_end_was_not_aborted(knots, depths, protocol) ->
     assert "aborted_ramp" not in codes(found)
 
 
-def creeping(creep_mm: float) -> Trial:
+@pytest.mark.parametrize("creep_mm", [0.15, 0.5])
+def test_creep_under_a_held_load_is_a_phase_and_no_hold(creep_mm: float) -> None:
     """40 N reached in 4 s and held for 30 s while the tool sinks in."""
     time = np.arange(0.0, 34.0, 0.01)
     depth = np.minimum(time, 4.0) + creep_mm * (1.0 - np.exp(-np.maximum(time - 4.0, 0.0) / 8.0))
-    return Trial("creep", time, depth, 10.0 * np.minimum(time, 4.0) + normal(0.05, time, 5))
-
-
-@pytest.mark.parametrize("creep_mm", [0.15, 0.5])
-def test_creep_under_a_held_load_is_a_phase_and_no_hold(creep_mm: float) -> None:
-    found = segment(creeping(creep_mm))
+    found = divided(time, depth, 10.0 * np.minimum(time, 4.0) + normal(0.05, time, 5))
     assert kinds(found) == ["ramp", "creep"]
     assert found.phases[1].start_s == pytest.approx(4.0, abs=0.03)
     (event,) = events(found, "load_limit")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from tissueid.haptics.falcon.packets import BUTTON_NAMES, LED_BLUE, LED_GREEN, L
 from tissueid.haptics.measure import engage, measure_link, record
 from tissueid.haptics.states import State
 
-Readings = dict[str, Any]
 COLOURS = {"green": LED_GREEN, "blue": LED_BLUE, "red": LED_RED}
 #: A push that is felt and harmless [N], and how long it lasts [s].
 PUSH_N, PUSH_S = 0.8, 0.6
