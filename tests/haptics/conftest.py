@@ -1,7 +1,5 @@
 """Shared libraries that tests compile from C, and two stand-ins: libusb and the Force Dimension SDK."""
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import subprocess

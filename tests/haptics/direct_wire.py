@@ -1,7 +1,5 @@
 """A transport without a wire."""
 
-from __future__ import annotations
-
 import time
 
 from tissueid.haptics.falcon.emulator import EmulatedFalcon

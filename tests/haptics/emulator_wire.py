@@ -1,7 +1,5 @@
 """Bytes to and from a Falcon, spelled here by hand: tests of the emulator need nothing of the driver."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The base of every device: what is final, and zero force on every way out."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 

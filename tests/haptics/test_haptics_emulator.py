@@ -1,7 +1,5 @@
 """The emulated Falcon: its end of the wire, and what lies between its bytes."""
 
-from __future__ import annotations
-
 import os
 import select
 import time

@@ -1,7 +1,5 @@
 """The calibration file: defaults, ranges, and no silent replacement."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import asdict, replace
 from pathlib import Path

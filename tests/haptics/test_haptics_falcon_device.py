@@ -1,7 +1,5 @@
 """The Falcon device over descriptors, against an emulator that shares no code with it."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import pty

@@ -1,7 +1,5 @@
 """Firmware: is it there, which file, an upload that fails before it succeeds; what libusb is asked for."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Kinematics of the Falcon against itself, finite differences, another formula and recorded signs."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Measurements of a device on itself, against simulated devices whose numbers are known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any

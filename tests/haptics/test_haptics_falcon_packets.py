@@ -1,7 +1,5 @@
 """Packets of the Falcon against published vectors, tables written here, and garbage."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

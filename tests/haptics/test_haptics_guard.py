@@ -1,7 +1,5 @@
 """The guard: states, limits and their precedence against closed forms; each fault is seen within its time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Things the guard never does, whatever a device, a law or a clock says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The hardware tests themselves: left out visibly, and writing their report on an emulated device."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

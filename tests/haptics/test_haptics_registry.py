@@ -1,7 +1,5 @@
 """Devices and laws by name, a stand-in of an SDK, what the compiler refuses, and a process of our own."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import re

@@ -1,7 +1,5 @@
 """The compiled servo's own ways to devices, against stand-in libraries that see every command."""
 
-from __future__ import annotations
-
 import os
 import socket
 

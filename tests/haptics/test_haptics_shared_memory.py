@@ -1,7 +1,5 @@
 """Memory that processes share: the ring, the parameter block and the hand; whole, in order, or refused."""
 
-from __future__ import annotations
-
 import os
 import resource
 import subprocess

@@ -1,7 +1,5 @@
 """The simulated device and a recorded motion; the arm against closed forms; hands and scripts."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Specimens with a known truth for the tests of inference: the segmenter's part is played by the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

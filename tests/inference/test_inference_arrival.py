@@ -1,7 +1,5 @@
 """Records that begin under a force: at a trigger while the tool moves, or behind a relaxed preload."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Orders and laws by what was left out: the simplest that predicts as well as the best."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

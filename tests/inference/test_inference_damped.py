@@ -1,7 +1,5 @@
 """A power of depth damped by the speed over that at contact: recovery, intervals, refusals."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 

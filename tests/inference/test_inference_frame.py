@@ -1,7 +1,5 @@
 """A stated frame is taken off the displacement, and a machine that nobody has is said."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The misfit alarm, silent on data of the fitted model, and the clustered sandwich."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

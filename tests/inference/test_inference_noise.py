@@ -1,7 +1,5 @@
 """Noise: whitening, correlation found under a fit, and what a recording shows of it."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Constrained steps and optima against scipy and closed forms; priors against the density they stand for."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A simulated log from its samples to its intervals: the truth in them, the same draws for a seed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Quoted numbers of a fit: right, with honest errors, and silent beyond what was seen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

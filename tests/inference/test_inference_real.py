@@ -1,7 +1,5 @@
 """Real recordings: intervals grow with what is unknown, and bands hold the data."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

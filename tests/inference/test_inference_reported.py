@@ -1,7 +1,5 @@
 """Numbers read off draws: bands, budgets, intervals; flags of a specimen, each with its number."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace

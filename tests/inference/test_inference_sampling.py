@@ -1,7 +1,5 @@
 """Chains and proposals against known densities, Pareto smoothing, diagnostics, and runs that are killed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Second looks: lmfit on raw samples, shorter holds, valleys of an open machine."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import lmfit

@@ -1,7 +1,5 @@
 """One specimen from its logs to its result: pooling, units, standard errors, profiles."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

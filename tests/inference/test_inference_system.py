@@ -1,7 +1,5 @@
 """Forces of a law and a system against recursions and simulations written out, and their derivatives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

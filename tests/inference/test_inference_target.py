@@ -1,7 +1,5 @@
 """The log density of a specimen and its priors against the same written out, and integrals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Residual summaries of a trial against what its samples say, and the curve that is kept of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fit of retracts and cycles: the truth comes back with honest errors, and the default fit stays as it is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import cycle
 

@@ -1,7 +1,5 @@
 """Samples that are fitted, of any history, their folds and chains of noise; blocks of a log."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Specimens of a simulator that shares nothing with the package: what is printed of them holds the truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

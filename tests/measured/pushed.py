@@ -1,7 +1,5 @@
 """Recordings of a push into a tissue whose law is written down: air, ramp, a crosshead that brakes, hold."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.signal import lfilter
 

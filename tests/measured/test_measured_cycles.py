@@ -1,7 +1,5 @@
 """Load-unload loops: closed forms of area, stiffness and viscosity, errors against repeated noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

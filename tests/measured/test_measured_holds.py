@@ -1,7 +1,5 @@
 """Peaks, forces in the hold and their refusals, against recordings whose truth is written down."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The relaxation table against closed forms and curve_fit; exponentials as mixtures of a few."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

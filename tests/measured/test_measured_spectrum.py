@@ -1,7 +1,5 @@
 """Spectra of holds and the time in which fluid drains, against sums and closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

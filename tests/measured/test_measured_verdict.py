@@ -1,7 +1,5 @@
 """One reason with its number, on recordings made for it; near misses of each are kept."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from functools import cache

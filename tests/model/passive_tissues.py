@@ -1,7 +1,5 @@
 """Random passive tissues and tool paths for the model tests, and their walk under the servo's ticks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

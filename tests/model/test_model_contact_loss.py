@@ -1,7 +1,5 @@
 """The tissue under a tool that can push but not pull, and the energy that it may return."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Scaling to a hand-held device and the damping its rendering needs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from passive_tissues import DEPTH_MM, SEED_MODEL, SEED_THETA, tissue

@@ -1,7 +1,5 @@
 """Closed forms of quoted numbers and of rupture against the running model, and errors against Monte Carlo."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from passive_tissues import of_law

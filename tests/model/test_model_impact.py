@@ -1,7 +1,5 @@
 """Hertz contact with the damping of Flores: restitution, latched speed, no tension."""
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import replace

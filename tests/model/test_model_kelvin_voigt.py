@@ -1,7 +1,5 @@
 """Modified Kelvin-Voigt law: its recursion, closed forms, equation (5), sensitivities, its errors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

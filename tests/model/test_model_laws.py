@@ -1,7 +1,5 @@
 """Every registered law against references written here; the servo's law of any model, and the yardstick."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from types import SimpleNamespace

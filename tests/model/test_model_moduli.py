@@ -1,7 +1,5 @@
 """Moduli from a force, and a layer under a tip: round trips, limits, elasticity solved another way."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

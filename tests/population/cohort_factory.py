@@ -1,7 +1,5 @@
 """Cohorts with a known truth: places of specimens, normal stage-1 likelihoods, and specimens of the model."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tissueid.inference.diagnostics import _effective_size

@@ -1,7 +1,5 @@
 """Repeatability, order and speed of logs, against closed forms."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

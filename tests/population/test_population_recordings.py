@@ -4,8 +4,6 @@ Two short logs a specimen at 10 to 100 Hz, each specimen fitted and sampled by i
 every specimen, at another speed and never fitted, is then predicted from its own fit and with the population.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The sampler against a grid, its own calibration, other samplers, and numbers that another one gave."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A smooth likelihood stands for all draws of a specimen, not for one of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from cohort_factory import COORDINATES, TYPICAL, plain_design

@@ -1,7 +1,5 @@
 """Owner and report of a servo that runs in the test's own process."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import socket

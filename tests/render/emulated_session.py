@@ -4,8 +4,6 @@ The driver opens the device as it would open a real one; then tick and emulator 
 the emulator's clock for each command, so that "within 20 ms" is counted and not measured.
 """
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from typing import Any, Self
 

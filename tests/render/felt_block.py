@@ -1,7 +1,5 @@
 """Parameters of a tissue, as an owner hands them to a servo."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tissueid.rendering.options import ASSUMED_DEVICE, preset_tissue

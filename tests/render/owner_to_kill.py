@@ -1,7 +1,5 @@
 """An owner for a test to kill: starts a servo on the terminal named, engages it, gives signs of life."""
 
-from __future__ import annotations
-
 import sys
 import time
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The bridge hears requests that are whole and bounded, and nothing else; it never waits."""
 
-from __future__ import annotations
-
 import json
 import socket
 from contextlib import suppress

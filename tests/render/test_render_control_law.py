@@ -1,7 +1,5 @@
 """The equations themselves: regressor, Lyapunov equality, and the loop against an independent solver."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """The sampled loop: tracking, hard impacts, virtual mass, hands, tissues; on a device, and who is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

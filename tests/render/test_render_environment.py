@@ -1,7 +1,5 @@
 """The rendered force is the fitted law's, along the normal, at the stated scale; the lamps tell the rest."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ Counted in ticks of the emulator's own clock, 1 ms each.  At the end exit codes 
 in real time on a shared machine: there the watchdog for silence is set to a second.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import socket

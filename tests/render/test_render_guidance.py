@@ -1,7 +1,5 @@
 """Guidance to an axis: its surface by brute force, a continuous reference, closed paths, the bone."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

@@ -4,8 +4,6 @@ On the simulated device the hand, a spring and a damper with a tremor, wants the
 misses the entry point by 5 mm and the axis by 3 degrees, and goes down the line at constant speed.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

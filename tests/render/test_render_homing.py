@@ -1,7 +1,5 @@
 """A device that is homed in the servo's process tells its user what to do, and does not outlive its owner."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The observer counts exactly what a held force did; the controller brakes without a kick."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

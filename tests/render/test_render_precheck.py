@@ -1,7 +1,5 @@
 """Before a session: scales and the check of damping, scenes, draws, blind orders, surfaces and scripts."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

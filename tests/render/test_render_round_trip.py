@@ -6,8 +6,6 @@ A force that comes late is a relaxation that seems longer: 1.5 ticks of delay an
 2 ms of 21 ms.  The delay is a number that a session states, so that it is undone as the scales are.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The servo's process: it starts, obeys, and ends in zero force whatever happens to it or its owner."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -3,8 +3,6 @@
 And what a tick remembers from one reading to the next: gaps, first readings, exchanged tissue, energy, wires.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import ExitStack
 

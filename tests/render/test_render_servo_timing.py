@@ -1,7 +1,5 @@
 """Period statistics, deadlines and scheduling: closed forms, never the clock of a loaded machine."""
 
-from __future__ import annotations
-
 import os
 import resource
 import time

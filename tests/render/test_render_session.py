@@ -1,7 +1,5 @@
 """A session in virtual time and beside another program; its recorder keeps what it got."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

@@ -5,8 +5,6 @@ The very tick of the servo runs on the simulated device.  Energy is counted at t
 what air dissipated pays for nothing.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple

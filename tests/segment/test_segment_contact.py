@@ -4,8 +4,6 @@ A condition of the statistics is a tissue, a way to start, a sampling rate and a
 shared out evenly over the six speeds.  Bias is the mean of error over sd, coverage the share within 1.96 sd.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

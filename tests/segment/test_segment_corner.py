@@ -1,7 +1,5 @@
 """How a ramp came to its stop; and contacts behind a preload that has relaxed, or noise that lasts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from closed_forms import branch_state

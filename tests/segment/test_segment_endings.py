@@ -1,7 +1,5 @@
 """Cycles and their verdict; ruptures, aborts, load limits and load control, where something tells them."""
 
-from __future__ import annotations
-
 import csv
 
 import numpy as np

@@ -4,8 +4,6 @@ Every phase of a program is found, at its corner, and none is invented; stairs, 
 jitter and nothing in the force are divided without an error.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -11,8 +11,6 @@ between approach and ramp is the contact point, which has tests of its own.  Non
 while rules and thresholds were chosen.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 

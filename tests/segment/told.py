@@ -1,7 +1,5 @@
 """Answers of the segmenter in a word each, and recordings to ask it about."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tissueid.flags import Flag

@@ -1,7 +1,5 @@
 """A check with a posterior in closed form, right or wrong on purpose; run as a program it can be killed."""
 
-from __future__ import annotations
-
 import sys
 import time
 from dataclasses import dataclass

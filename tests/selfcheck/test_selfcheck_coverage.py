@@ -7,8 +7,6 @@ points are found in the recordings, behind a second in air; where the noise ther
 segmentation does not know of, they are stated with their standard deviation.  Seeds are part of the cases.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path

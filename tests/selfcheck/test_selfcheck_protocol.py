@@ -1,7 +1,5 @@
 """A recipe, a bundle and recordings become protocols with their contact, depth and speeds."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

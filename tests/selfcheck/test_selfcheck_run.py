@@ -1,7 +1,5 @@
 """A right posterior passes, a wrong one is told why; runs are resumed, killed and shared without a trace."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

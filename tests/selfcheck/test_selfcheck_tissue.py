@@ -1,7 +1,5 @@
 """One simulation: what goes into ``identify`` and comes out, and uniform ranks where that is exact."""
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Callable
 from dataclasses import replace

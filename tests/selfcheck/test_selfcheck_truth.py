@@ -1,7 +1,5 @@
 """Truths follow their priors, their numbers are the model's own, and recordings are those of closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

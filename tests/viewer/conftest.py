@@ -1,7 +1,5 @@
 """A browser that draws without a graphics card, and a session that it looks at."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A server on a free port of this machine with a ring that the test writes, and clients of it."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

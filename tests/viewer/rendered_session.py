@@ -1,7 +1,5 @@
 """A session in a process of its own, as a user begins it."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The page in a browser: what is drawn is what the servo recorded, a mouse presses the tissue; all scenes."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

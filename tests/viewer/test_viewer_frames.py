@@ -1,7 +1,5 @@
 """Frames, to the digits of their layout, to each client at its own pace; the hello: drawn is what is felt."""
 
-from __future__ import annotations
-
 import json
 import struct
 import time

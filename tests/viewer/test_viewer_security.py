@@ -1,7 +1,5 @@
 """Who is let in, what may be said, and that nothing said reaches a device; a page that is talked back to."""
 
-from __future__ import annotations
-
 import json
 import socket
 import ssl

@@ -1,7 +1,5 @@
 """The server's process, its owner and the bundle: what is sent is shown; who dies keeps no hand pressed."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """A real Falcon for tests: opt-in by ``--falcon``, a person who answers, a report of the readings."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

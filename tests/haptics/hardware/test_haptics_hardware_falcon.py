@@ -1,7 +1,5 @@
 """Things only a real Falcon can settle, in the order of docs/hardware-checklist.md."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import asdict
 
