@@ -54,9 +54,7 @@ def test_without_a_file_or_a_key_the_assumptions_hold(tmp_path):
     ("line", "reason"),
     [
         ("units_per_Nm = 66000", "is no number from 1000 to 30000"),
-        ("units_per_Nm = nan", "is no number"),
-        ("units_per_Nm = '6600'", "is no number"),
-        ("units_per_Nm = true", "is no number"),
+        *((f"units_per_Nm = {value}", "is no number") for value in ("nan", "'6600'", "true")),
         ("force_calibrated = 1", "neither true nor false"),
         ("geometry = 'delta'", "known are stamper, martin-hillier"),
         ("geometry = 3", "known are"),

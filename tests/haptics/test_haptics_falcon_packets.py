@@ -54,10 +54,8 @@ def test_every_encoder_value_and_status_is_read_as_by_the_table():
 @pytest.mark.parametrize(
     ("motor", "leds", "homing"),
     [
-        *(
-            (motor, 0, False)
-            for motor in ((4096, 0, 0), (0, -4096, 0), (0, 0), (0,) * 4, (0.5, 0, 0), (float("nan"), 0, 0))
-        ),
+        *((motor, 0, False) for motor in ((4096, 0, 0), (0, -4096, 0), (0, 0), (0,) * 4)),
+        *((motor, 0, False) for motor in ((0.5, 0, 0), (float("nan"), 0, 0))),
         *(((0, 0, 0), leds, False) for leds in (0x01, 0x10, -2)),
         ((0, 0, 0), 0, "yes"),
     ],

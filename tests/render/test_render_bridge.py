@@ -39,26 +39,16 @@ def test_requests_are_read():
 @pytest.mark.parametrize(
     "data",
     [
-        b"",
-        b"\xff\xfe",
-        b"[1]",
-        b'{"tissue": 1}',
-        b'{"v": 2, "tissue": 1}',
-        b'{"v": 1, "force_N": [0, 0, 5]}',
-        b'{"v": 1, "tissue": -1}',
-        b'{"v": 1, "tissue": true}',
-        b'{"v": 1, "tissue": 1.5}',
-        b'{"v": 1, "engage": 1}',
-        b'{"v": 1, "stop": "yes"}',
+        b"", b"\xff\xfe", b"[1]", b'{"tissue": 1}', b'{"v": 2, "tissue": 1}',
+        b'{"v": 1, "force_N": [0, 0, 5]}', b'{"v": 1, "tissue": -1}', b'{"v": 1, "tissue": true}',
+        b'{"v": 1, "tissue": 1.5}', b'{"v": 1, "engage": 1}', b'{"v": 1, "stop": "yes"}',
         b'{"v": 1, "plane": {"point_m": [0, 0, 9], "normal": [0, 0, 1]}}',
         b'{"v": 1, "plane": {"point_m": [0, 0, NaN], "normal": [0, 0, 1]}}',
         b'{"v": 1, "plane": {"point_m": [0, 0, 0.1], "normal": [0, 0, 0]}}',
-        b'{"v": 1, "plane": {"point_m": [0, 0], "normal": [0, 0, 1]}}',
-        b'{"v": 1, "plane": null}',
-        b"[" * 1000,
-        b'{"v": 1, "tissue": 1}' + b" " * LARGEST_DATAGRAM,
+        b'{"v": 1, "plane": {"point_m": [0, 0], "normal": [0, 0, 1]}}', b'{"v": 1, "plane": null}',
+        b"[" * 1000, b'{"v": 1, "tissue": 1}' + b" " * LARGEST_DATAGRAM,
     ],
-)
+)  # fmt: skip
 def test_whatever_is_no_request_is_dropped(data):
     assert parse_request(with_token(data), TOKEN) is None
 

@@ -13,6 +13,7 @@ while rules and thresholds were chosen.
 
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -54,24 +55,11 @@ class Truth:
     features: set[str] = field(default_factory=set)
 
 
-@dataclass
-class Setting:
-    """How the machine moves and logs."""
+def draw_setting(rng: np.random.Generator) -> SimpleNamespace:
+    """How the machine moves and logs: 10-500 mm/min, 10-1,000 Hz, 2-10 mm.
 
-    rate_Hz: float
-    speed_mm_s: float
-    depth_mm: float
-    air_mm: float
-    rounding_s: float
-    ring_mm: float
-    ring_period_s: float
-    sigma_mm: float
-    quantum_mm: float
-    sigma_N: float
-
-
-def draw_setting(rng: np.random.Generator) -> Setting:
-    """10-500 mm/min, 10-1,000 Hz, 2-10 mm; a ramp has 8 samples or more, a recording some 60,000 at most."""
+    A ramp has 8 samples or more, a recording some 60,000 at most.
+    """
     speed = 10.0 ** rng.uniform(1.0, np.log10(500.0)) / 60.0
     depth = rng.uniform(2.0, 10.0)
     ramp_s = depth / speed
@@ -80,7 +68,7 @@ def draw_setting(rng: np.random.Generator) -> Setting:
     rounding = rng.uniform(0.05, 0.3) if rng.random() < 0.5 else 0.0
     ring = depth * rng.uniform(0.004, 0.02) if rng.random() < 0.25 else 0.0
     rate = min(rate, 1000.0)
-    return Setting(
+    return SimpleNamespace(
         rate_Hz=rate,
         speed_mm_s=speed,
         depth_mm=depth,
@@ -97,7 +85,7 @@ def draw_setting(rng: np.random.Generator) -> Setting:
 class Program:
     """Segments laid end to end, with the depth reached so far (0 at contact)."""
 
-    def __init__(self, rng: np.random.Generator, setting: Setting, truth: Truth) -> None:
+    def __init__(self, rng: np.random.Generator, setting: SimpleNamespace, truth: Truth) -> None:
         self.rng, self.setting, self.truth = rng, setting, truth
         self.depth = -setting.air_mm
         self.segments: list[Segment] = []
@@ -351,7 +339,7 @@ def _travel(program: Program, knots: np.ndarray, time_s: np.ndarray) -> tuple[np
     return travel, spans
 
 
-def _force(rng: np.random.Generator, setting: Setting, time_s: np.ndarray, depth: np.ndarray) -> np.ndarray:
+def _force(rng, setting, time_s: np.ndarray, depth: np.ndarray) -> np.ndarray:
     x = np.maximum(depth, 0.0)
     z = x / setting.depth_mm
     static = FULL_FORCE_N * (0.6 * z + 0.4 * z**3)
