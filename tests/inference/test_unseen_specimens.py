@@ -1,14 +1,13 @@
 """Specimens of a simulator that shares nothing with the package: what is printed of them holds the truth."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from closed_forms import branch_state
 
 import tissueid as ti
-from tissueid.inference.verdict import outside
+from tissueid.inference.verdict import reaching
 from tissueid.uncertainty import ParameterUncertainty
 
 
@@ -130,19 +129,22 @@ def test_forces_at_the_limit_of_a_cell_are_not_fitted(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("value", "total", "alone", "held"),
+    ("value", "total", "alone", "reaches"),
     [
         # six places whose times differ by 20 %: each alone has the truth, 0.3, where the pooled F_s bends
-        (0.165, (0.082, 0.250), (0.189, 0.382), False),
+        (0.165, (0.082, 0.250), (0.189, 0.382), 0.3),
         # identical logs: what is not known of the machine moves the pooled value, within its interval
-        (0.3789, (0.367, 0.392), (0.3720, 0.3786), True),
-        (0.3, (0.25, 0.35), (0.2, 0.4), True),
-        (0.3, (0.25, 0.35), None, True),
+        (0.3789, (0.367, 0.392), (0.3720, 0.3786), None),
+        (0.3, (0.25, 0.35), (0.2, 0.4), None),
+        (0.3, (0.25, 0.35), None, None),
     ],
 )
-def test_a_value_that_no_log_alone_has_is_withheld(value, total, alone, held):
+def test_the_interval_of_a_value_that_no_log_alone_has_holds_theirs(value, total, alone, reaches):
     own = ParameterUncertainty(value, 0.01, total, total, 400.0, 400.0, 1.0, alone)
-    assert outside((SimpleNamespace(name="a1", value=value),), {"a1": own}) == (() if held else ("a1",))
+    found, flags = reaching({"a1": ("a1", value)}, {"a1": own}, 6)
+    assert [flag.code for flag in flags] == ([] if reaches is None else ["logs_apart"])
+    low, high = found["a1"].ci95_total
+    assert (low, high) == total if reaches is None else low == total[0] < reaches < high < alone[1]
 
 
 def test_the_intervals_behind_a_machine_of_which_nothing_is_known_hold_a_rigid_one():

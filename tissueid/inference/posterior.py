@@ -323,7 +323,8 @@ def _assembled(
     later = next_indentation(fitted.identified)
     found = {name: replace(one, prediction95=later.get(name)) for name, one in found.items()}
     medians = {name: float(np.median(statistical[name])) for name in names}
-    found, apart = reaching(medians, {one.name: one.symbol for one in fit.parameters}, found)
+    named = {one.name: (one.symbol, medians[one.name]) for one in fit.parameters}
+    found, apart = reaching(named, found, len(fit.trials))
     parameters = _with_medians(fit.parameters, medians, found)
     parameters, said = withheld(parameters, outside(parameters, found), "the value lies outside it")
     parameters = tuple(replace(one, uncertainty=found.get(one.name)) for one in parameters)

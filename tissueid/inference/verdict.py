@@ -145,14 +145,12 @@ def specimen_flags(
     noise: str | None = "white",
 ) -> tuple[Flag, ...]:
     """Flags of a specimen; ``noise``: the intervals' model of it, ``None`` where they know more."""
-    flags = unidentified(tissue.parameters)
-    flags += _relaxation_flags(tissue, facts, sigma_N)
+    flags = [*unidentified(tissue.parameters), *_relaxation_flags(tissue, facts, sigma_N)]
     speed = one_speed(facts)
     if speed is not None and not any(log.has_hold for log in facts):
         words = f"one speed, {speed:.3g} mm/s, and no hold: viscosity rests on the ramp's shape alone"
         flags.append(Flag("single_speed", words, {"speed_mm_s": speed}))
-    flags += _form_flag(tissue, facts)
-    flags += _optimum_flags(tissue, optimisers)
+    flags += [*_form_flag(tissue, facts), *_optimum_flags(tissue, optimisers)]
     acf = float(np.median([trial.residual_acf1 for trial in trials]))
     if acf > CORRELATED and noise is not None:
         why = "noise with memory, or a lacking model"
@@ -167,27 +165,30 @@ def _inside(value: float, interval: tuple[float, float] | None) -> bool:
     return interval is not None and interval[0] <= value <= interval[1]
 
 
-def _reached(own: ParameterUncertainty, middle: float) -> ParameterUncertainty:
-    """Uncertainty whose intervals reach to a value."""
-    low, high = (function([*own.ci95, middle]) for function in (min, max))
+def _reached(own: ParameterUncertainty, ends: tuple[float, float]) -> ParameterUncertainty:
+    """Uncertainty whose intervals hold another interval."""
+    low, high = min(own.ci95[0], ends[0]), max(own.ci95[1], ends[1])
     wide = None if own.ci95_total is None else (min(own.ci95_total[0], low), max(own.ci95_total[1], high))
     return replace(own, sd=max(own.sd, (high - low) / 4.0), ci95=(low, high), ci95_total=wide)
 
 
 def reaching(
-    values: Mapping[str, float], symbols: Mapping[str, str], found: Mapping[str, ParameterUncertainty]
+    named: Mapping[str, tuple[str, float]], found: Mapping[str, ParameterUncertainty], logs: int
 ) -> tuple[dict[str, ParameterUncertainty], tuple[Flag, ...]]:
-    """Intervals that reach to logs fitted alone where neither lies within the interval of the other."""
+    """Intervals that hold the mean of logs fitted alone, where neither lies in the interval of the other."""
     out, middles = dict(found), {}
     for name, own in found.items():
-        middle = None if own.prediction95 is None else float(np.sqrt(np.prod(own.prediction95)))
-        if middle is None or _inside(values[name], own.prediction95):
+        if own.prediction95 is None or _inside(named[name][1], own.prediction95):
             continue
+        low, high = np.log(own.prediction95)
+        middle = float(np.exp(0.5 * (low + high)))
         if not _inside(middle, own.ci95_total or own.ci95):
-            out[name], middles[name] = _reached(own, middle), middle
+            # of the next log by Student's t, sqrt(n + 1) times as wide as of the mean of n
+            ratio = float(np.exp(0.5 * (high - low) / np.sqrt(logs + 1.0)))
+            out[name], middles[name] = _reached(own, (middle / ratio, middle * ratio)), middle
     if not middles:
         return out, ()
-    pairs = (f"{symbols[name]} {values[name]:.3g}, alone {middle:.3g}" for name, middle in middles.items())
+    pairs = ("{} {:.3g}, alone {:.3g}".format(*named[name], middle) for name, middle in middles.items())
     words = f"logs fitted alone have {len(middles)} of {len(found)} elsewhere: {'; '.join(pairs)}"
     return out, (Flag("logs_apart", words, {"alone": middles}),)
 
@@ -211,14 +212,12 @@ def withheld(
     """Parameters without the intervals that can't be believed, which are then not identified."""
     if not names:
         return parameters, ()
-    held = [one.symbol for one in parameters if one.name in names]
-    symbols = ", ".join(held) if len(held) <= LONGEST_LIST else f"{held[0]} and {len(held) - 1} more"
+    symbols = _listed([one.symbol for one in parameters if one.name in names], len(parameters))
     kept = tuple(
         replace(one, identified=False, detail={**one.detail, "withheld": why}) if one.name in names else one
         for one in parameters
     )
-    words = f"no interval for {symbols} ({len(held)} of {len(parameters)}): {why}"
-    flag = Flag("interval_withheld", words, {"names": list(names)})
+    flag = Flag("interval_withheld", f"no interval for {symbols}: {why}", {"names": list(names)})
     return kept, (flag,)
 
 
