@@ -9,6 +9,7 @@ import pytest
 from fit_factory import specimen_fit
 from scipy.optimize import brentq
 
+from tissueid.documents import plain, typed
 from tissueid.documents.identification import NoiseFit, Nrmsd
 from tissueid.flags import Flag
 from tissueid.inference import reported, verdict
@@ -188,7 +189,8 @@ def test_an_interval_reaches_to_logs_fitted_alone_where_they_have_it_elsewhere(p
         assert own.ci95 == pytest.approx((found[name].ci95[0], high))
         assert own.ci95_total == pytest.approx((found[name].ci95_total[0], high))
         assert own.sd == pytest.approx((high - own.ci95[0]) / 4.0)
-    words = [f"logs fitted alone have 1 of {len(found)} elsewhere: a {OPTIMUM[0]:.3g}, alone 3.6"]
+    words = [f"logs fitted alone have a (1 of {len(found)} parameters) elsewhere: a at 3.6"]
+    assert all(typed(plain(one), Flag, known=True) == one for one in flags)
     assert [(one.code, one.message) for one in flags] == ([("logs_apart", words[0])] if reaches else [])
 
 

@@ -188,9 +188,10 @@ def reaching(
             out[name], middles[name] = _reached(own, (middle / ratio, middle * ratio)), middle
     if not middles:
         return out, ()
-    pairs = ("{} {:.3g}, alone {:.3g}".format(*named[name], middle) for name, middle in middles.items())
-    words = f"logs fitted alone have {len(middles)} of {len(found)} elsewhere: {'; '.join(pairs)}"
-    return out, (Flag("logs_apart", words, {"alone": middles}),)
+    symbols, middle = [named[name][0] for name in middles], next(iter(middles.values()))
+    words = f"logs fitted alone have {_listed(symbols, len(found))} elsewhere: {symbols[0]} at {middle:.3g}"
+    values = {"names": list(middles), "alone": list(middles.values())}
+    return out, (Flag("logs_apart", words, values),)
 
 
 def outside(parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncertainty]) -> tuple[str, ...]:
