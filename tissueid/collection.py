@@ -166,6 +166,7 @@ class Collected:
     unfitted_cycles: list[Cycle] = field(default_factory=list)
     decisions: dict[tuple[str, str | None], Decision] = field(default_factory=dict)
     excluded: list[Excluded] = field(default_factory=list)
+    unlisted: list[tuple[str, str | None]] = field(default_factory=list)  # that a study leaves aside
 
     def add(self, trial: Trial, handle: LogHandle) -> None:
         """Count one trial in."""
@@ -258,6 +259,7 @@ def collect(
         if study is not None:
             decision = study.decision(source.path, source.sheet)
             if study.only_listed and not decision.listed and decision.excluded is None:
+                collected.unlisted.append((source.path, source.sheet))
                 continue
             collected.decisions[source.path, source.sheet] = decision
         trial, own, why = as_decided(raw, options, study, decision)
@@ -443,7 +445,11 @@ def unmatched_sheets(study: Study | None, collected: Collected, refused: Sequenc
     if study is None:
         return []
     found: dict[str, set[str | None]] = {}
-    for path, sheet in [*collected.decisions, *((one.path, one.sheet) for one in refused)]:
+    for path, sheet in [
+        *collected.decisions,
+        *collected.unlisted,
+        *((one.path, one.sheet) for one in refused),
+    ]:
         found.setdefault(study.real_path(path), set()).add(sheet)
     missing = []
     for entry in study.entries:

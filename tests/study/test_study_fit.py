@@ -13,6 +13,7 @@ from command_line import QUICK, log_text, read_json, run, write_csv, write_log, 
 from fit_factory import specimen_fit
 from study_folder import fit, lab, specimen, value
 
+import tissueid as ti
 from tissueid.between_logs import copies, order_effect, repeated_sites, spread_flags
 from tissueid.result import TrialFit
 from tissueid.store.schema import first_problem
@@ -80,6 +81,16 @@ def test_names_in_vain_are_refused_with_their_line_or_what_is_there_and_the_rest
     ((_, sheet),) = found.items()
     assert '"S9"' in sheet["message"]
     assert '"S1", "S2"' in sheet["message"]
+
+
+def test_a_sheet_in_vain_is_said_where_the_study_leaves_the_others_aside(tmp_path):
+    folder = lab(tmp_path / "lab", "[study]\nonly_listed = true\n[[trial]]\nfile = 'w.xlsx'\nsheet = 'S*'\n")
+    write_workbook(folder / "w.xlsx", "S1", "S2")
+    words = 'there is no sheet "S*" in w.xlsx; it has "S1", "S2"'
+    assert words in run("fit", folder, "-o", tmp_path / "out", *QUICK, code=3).stderr
+    trials, study = ti.read_trials(folder / "w.xlsx"), ti.read_study(folder / "study.toml")
+    (refused,) = ti.identify(trials, study=study).refused
+    assert words in refused.message
 
 
 def test_what_is_excluded_is_no_failure_be_it_damaged_or_a_whole_specimen(decided):

@@ -212,8 +212,8 @@ class Index(AbstractContextManager["Index"]):
         return self._recordings(f"{_OF_RUN} AND kind IN ('refused', 'refused_excluded')")
 
     def named(self) -> Iterator[tuple[str, str | None]]:
-        """Path and sheet of everything the run has found and the study does not leave out unlisted."""
-        rows = self._do("SELECT path, sheet FROM recordings WHERE run = ? AND kind != 'unlisted'", self._run)
+        """Path and sheet of everything the run has found."""
+        rows = self._do("SELECT path, sheet FROM recordings WHERE run = ?", self._run)
         return ((row["path"], row["sheet"]) for row in rows)
 
     def samples(self) -> int:
