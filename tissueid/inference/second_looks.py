@@ -26,7 +26,7 @@ from tissueid.inference.prior import PriorRows, prior_rows, time_bounds
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import SHAPE, Point, System
 from tissueid.inference.window import MIN_SAMPLES
-from tissueid.measured.pushes import whole_holds
+from tissueid.measured.pushes import after_rupture
 from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
 
 #: Standard errors within which optima agree: of ln tau, and squared of the objective, which one lifts by 1.
@@ -223,7 +223,8 @@ def relaxation_window(
 
     Returns ``None`` where no hold, or a quarter of it, determines a relaxation time.
     """
-    every = [whole_holds(handle.segmentation) for handle in handles]
+    divided = [handle.segmentation for handle in handles]
+    every = [[hold for hold in one.of_kind("hold") if not after_rupture(one, hold)] for one in divided]
     longest = [max((hold.end_s - hold.start_s for hold in holds), default=0.0) for holds in every]
     holds = [length for length in longest if length > 0.0]
     step = max(handle.facts.step_s for handle in handles)

@@ -130,7 +130,7 @@ def _leads_astray(path: Path, kind: str, root: str, above: Sequence[str]) -> Inp
     target = os.path.realpath(path)
     if target in above:
         message = f"the link leads in a circle, back to {printable(target)}; remove it"
-    elif os.path.commonpath([root, target]) != root:
+    elif not Path(target).is_relative_to(root):
         message = f"the link leads out of the folder, to {printable(target)}; name that path itself"
     else:
         return None

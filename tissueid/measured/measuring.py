@@ -15,7 +15,7 @@ from tissueid.arrays import FloatArray
 from tissueid.documents import measured as documents
 from tissueid.measured.cycles import cycle_rows
 from tissueid.measured.geometry import Geometry, modulus_of
-from tissueid.measured.pushes import HELD, Move, braking_before, move_before, moves, peak_of, usable_until
+from tissueid.measured.pushes import HELD, Move, after_rupture, braking_before, move_before, moves, peak_of
 from tissueid.measured.relaxation import Ladders, hold_ladders
 from tissueid.quantities import beyond_ramp
 from tissueid.trial import Event, Phase, Segmentation, Trial
@@ -143,7 +143,7 @@ def _push(record: _Record, move: Move, geometry: Geometry | None) -> documents.M
     depth = float(record.depth_mm[stop])
     start_s, stop_s = float(trial.time_s[start]), float(trial.time_s[stop])
     held = phases[move.last + 1] if move.last + 1 < len(phases) else None
-    last = held.stop - 1 if held is not None and held.kind == "hold" else None
+    last = held.stop - 1 if held is not None and held.kind == "hold" and broke is None else None
     return documents.MeasuredPush(
         start_s=start_s,
         stop_s=stop_s,
@@ -202,7 +202,7 @@ def _hold(record: _Record, number: int, geometry: Geometry | None) -> documents.
         end_N=float(record.force_N[last]),
         creep_mm=float(record.depth_mm[last] - record.depth_mm[phase.start]),
         tau=_tau(record, number) if position else None,
-        after_rupture=phase.stop > usable_until(segmentation, phase.stop),
+        after_rupture=after_rupture(segmentation, phase),
     )
 
 

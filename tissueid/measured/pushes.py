@@ -44,10 +44,9 @@ def usable_until(segmentation: Segmentation, size: int) -> int:
     return min([end, *ruptures])
 
 
-def whole_holds(segmentation: Segmentation) -> list[Phase]:
-    """Standstills before the first rupture."""
-    last = usable_until(segmentation, 0)
-    return [hold for hold in segmentation.of_kind("hold") if hold.stop <= last]
+def after_rupture(segmentation: Segmentation, phase: Phase) -> bool:
+    """True of a phase that is not over at the first rupture."""
+    return phase.stop > usable_until(segmentation, phase.stop)
 
 
 def move_before(phases: tuple[Phase, ...], number: int) -> Move | None:

@@ -22,7 +22,7 @@ from scipy.linalg.blas import dtrsm
 from tissueid.arrays import FloatArray
 from tissueid.documents.identification import Relaxation
 from tissueid.flags import Flag
-from tissueid.measured.pushes import peak_of, usable_until
+from tissueid.measured.pushes import after_rupture, peak_of
 from tissueid.trial import Segmentation, Trial, contact_frame
 
 # A basis is a few relaxation times whose kernels span those of every other,
@@ -401,10 +401,10 @@ def relaxation_rows(
     if segmentation.contact is None:
         return ()
     _, force = contact_frame(trial, segmentation)
-    last, rows = usable_until(segmentation, trial.time_s.size), []
+    rows = []
     for number, found in (hold_ladders(trial, segmentation) if ladders is None else ladders).items():
         hold = segmentation.phases[number]
-        if found is None or not segmentation.contact.index < hold.stop <= last:
+        if found is None or hold.stop <= segmentation.contact.index or after_rupture(segmentation, hold):
             continue
         window, single = slice(hold.start, hold.stop), found.single_s
         time, range_N = trial.time_s[window], float(np.ptp(force[window]))

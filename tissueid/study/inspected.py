@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 def study_folder(paths: Sequence[str]) -> Path:
     """Folder of study.toml, there or not: beside or above what was named."""
     folders = [path if path.is_dir() else path.parent for path in (Path(name).resolve() for name in paths)]
-    common = Path(os.path.commonpath(folders))
+    one_drive = len({folder.drive for folder in folders}) == 1
+    common = Path(os.path.commonpath(folders)) if one_drive else folders[0]
     above = [folder for folder in (common, *common.parents) if (folder / MANIFEST).is_file()]
     return above[0] if above else common
 
