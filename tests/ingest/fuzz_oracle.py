@@ -65,11 +65,13 @@ def cells_of(line: str, delimiter: str) -> list[str] | None:
     return cells
 
 
-def read(data: bytes, intent: Intent) -> Reading:
-    """Read bytes that are meant in one way."""
+def read(data: bytes, intent: Intent, turn: tuple[int, Intent] | None = None) -> Reading:
+    """Read bytes that are meant in one way, or from behind a line on in another."""
     text = data.decode(intent.encoding, errors="replace").removeprefix("\ufeff")
     rows, odd = [], []
     for line_number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1):
+        if turn is not None and line_number > turn[0]:
+            intent = turn[1]
         if not line.strip(f' \t"{intent.delimiter}'):
             continue
         cells = cells_of(line, intent.delimiter)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import chain
 
 from fuzz_mutant import Mutant, Mutation, Random, textual
@@ -264,8 +265,10 @@ def splice(seed: Seed, rng: Random) -> Mutant:
 def splice_lines(seed: Seed, rng: Random) -> Mutant:
     other = rng.choice(seeds()) if rng.random() < 0.7 else seed
     kept = rng.randrange(seed.first + 1, len(seed.lines))
-    tail = other.lines[rng.choice((0, other.names, rng.randrange(len(other.lines)))) :]
-    return textual("two files joined", seed, [*seed.lines[:kept], *tail], expect="oracle")
+    start = rng.choice((0, other.names, rng.randrange(len(other.lines))))
+    mutant = textual("two files joined", seed, [*seed.lines[:kept], *other.lines[start:]], expect="oracle")
+    # under its own head a table has its own units and marks
+    return replace(mutant, turn=(kept, other.intent)) if start <= other.names else mutant
 
 
 def later_part(seed: Seed, rng: Random) -> Mutant:

@@ -110,7 +110,10 @@ def make_plain(piece: bytes, *, delimiter: str, decimal: str) -> bytes | None:
     """Take quotes and thousands separators out of whole lines, and make the decimal mark a point."""
     if not piece.isascii():
         for wide in _WIDE_MARKS:
-            piece = piece.replace(wide, b"'")
+            if wide in piece:
+                if b"'" in piece:
+                    return None  # a second kind of mark
+                piece = piece.replace(wide, b"'")
     quoted, between, changed = b'"' in piece, delimiter.encode(), _MARKS_CHANGED if decimal == "," else None
     marks = [m for m in _MARKS if m != decimal.encode() and m in piece and (m != between or quoted)]
     if not quoted and not marks:

@@ -46,6 +46,10 @@ RESTART_TIMES = 8.0
 GAP_TIMES = 3.0
 
 
+#: A number near the largest that there is may overflow in a comparison, and is refused behind it.
+_overflowing = np.errstate(over="ignore", invalid="ignore")
+
+
 class BrokenRow(NamedTuple):
     """Break of a table: row and channel, counted from 0, code and message of its refusal."""
 
@@ -55,6 +59,7 @@ class BrokenRow(NamedTuple):
     message: str
 
 
+@_overflowing
 def refuse_broken(
     columns: Sequence[FloatArray],
     fractional: Sequence[NDArray[np.bool_]],
@@ -217,6 +222,7 @@ def _usual(steps: FloatArray) -> float:
     return float(np.median(moving)) if moving.size else np.inf
 
 
+@_overflowing
 def restart(time: FloatArray, travel: FloatArray) -> int | None:
     """The row behind which a counter of travel starts again: the tool turns, and goes on at its speed."""
     if travel.size < FEWEST_ROWS:
