@@ -193,6 +193,23 @@ def test_units_of_the_header_are_those_of_columns_that_state_none(tmp_path: Path
     assert trial.force_N[1] == pytest.approx(0.5 * 9.80665e-3)
 
 
+@pytest.mark.parametrize(
+    ("head", "behind"),
+    [
+        ("Time,s,Disp,um,Force,gf", ""),
+        ("Time, s, Disp, um, Force, gf", ""),
+        ("Time,s,Disp,um,Force,gf", ","),
+        ("Sample 12, liver\ns,um,gf", ""),
+    ],
+)
+def test_units_between_names_or_alone_under_a_title_are_taken(tmp_path: Path, head: str, behind: str) -> None:
+    rows = TIMED.replace("\t", f"{behind},").replace("\n", f"{behind}\n")
+    trial = read(put(tmp_path / "a.csv", f"{head}\n{rows}"))
+    assert trial.displacement_mm[1] == pytest.approx(0.02)
+    assert trial.force_N[1] == pytest.approx(0.5 * 9.80665e-3)
+    assert "units_assumed" not in codes(trial)
+
+
 def test_a_lone_unit_of_a_header_is_that_of_the_force_but_no_length(tmp_path: Path) -> None:
     """A length may be that of the specimen."""
     table = f"Time\tTravel\tLoad\n{TIMED}"

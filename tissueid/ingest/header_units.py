@@ -54,6 +54,23 @@ def stated_units(header: Sequence[Row], names: Row, options: ReadOptions) -> Row
     return tuple(units) if any(units) else ()
 
 
+def between_names(names: Row, units: Row, width: int) -> tuple[Row, Row]:
+    """Names and units over ``width`` columns, units that stand in cells between the names taken from there.
+
+    The mark that parts columns also parts a name from its unit, ``Time,s,Force,N``: over as many columns as
+    there are names, or with an empty one behind each.
+    """
+    own, between = names[::2], [unit.strip() for unit in names[1::2]]
+    alone = 2 * len(between) == len(names) and all(quantity_of(unit) for unit in between)
+    if any(units) or not alone or any(quantity_of(name.strip()) for name in own):
+        return names, units
+    if len(own) == width:
+        return own, tuple(between)
+    if len(names) == width:
+        return tuple(cell for name in own for cell in (name, "")), tuple(c for u in between for c in (u, ""))
+    return names, units
+
+
 def _calls(key: str, channel: Channel) -> bool:
     """True where the header calls a channel so."""
     return rank_of(key, channel, loose=False) is not None or (channel == "displacement" and key in _LENGTHS)

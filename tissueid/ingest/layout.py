@@ -17,7 +17,7 @@ from itertools import zip_longest
 
 from tissueid.flags import Flag
 from tissueid.ingest.columns import channel_columns, has_channels
-from tissueid.ingest.header_units import stated_units
+from tissueid.ingest.header_units import between_names, stated_units
 from tissueid.ingest.labelled import units_beside, with_units
 from tissueid.ingest.numbers import Row, decimal_evidence, is_word, looks_numeric
 from tissueid.ingest.options import ReadOptions
@@ -309,7 +309,7 @@ def anchor(rows: Sequence[Row], options: ReadOptions) -> Anchor | None:
     if not runs:
         return None
     first = max(runs, key=len).start
-    found = _anchor_without_words(rows, first, _filled_above(rows, first))
+    found = _anchor_without_words(rows, first, options)
     if found.names is None or found.units is not None:
         return found
     return replace(found, units=units_above(rows, found.names, options))
@@ -373,16 +373,19 @@ def _without_key(row: Row, width: int) -> Row:
     return row[1:] if len(row) > width else (row[0].partition(":")[2].strip(), *row[1:])
 
 
-def _anchor_without_words(rows: Sequence[Row], best: int, above: Sequence[int]) -> Anchor:
+def _anchor_without_words(rows: Sequence[Row], best: int, options: ReadOptions) -> Anchor:
     """Names that are no known words: the line above the units, else the line above the numbers."""
+    above = _filled_above(rows, best)
     if not above:
         return Anchor(None, None, best)
-    if is_units_row(rows[above[0]]):
-        if len(above) > 1 and len(rows[above[1]]) >= 2 and len(rows[above[1]]) >= len(rows[above[0]]) - 1:
+    row, over = rows[above[0]], rows[above[1]] if len(above) > 1 else ()
+    if is_units_row(row):
+        if over and len(over) < len(row) and has_channels(row, (), options):
+            return Anchor(above[0], None, best)  # under a title
+        if len(over) >= max(2, len(row) - 1):
             return Anchor(above[1], above[0], best)
-        if all(_BRACKETED.fullmatch(cell) for cell in rows[above[0]] if cell.strip()):
+        if all(_BRACKETED.fullmatch(cell) for cell in row if cell.strip()):
             return Anchor(None, above[0], best)
-    row = rows[above[0]]
     named = len(_filled(row)) >= 2 and _numeric_share(row) == 0.0
     return Anchor(above[0] if named and len(row) >= len(rows[best]) - 1 else None, None, best)
 
@@ -435,6 +438,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
         place.refuse("no_rows", message, line=found.first + 1)
     _refuse_counts(lines, sample, channel_columns(names, options).get("force"), options, place)
     n_columns = Counter(map(len, sample)).most_common(1)[0][0]
+    names, units = between_names(names, units, n_columns)
     if any(text.names):
         names = tuple(one or own for one, own in zip_longest(names, text.names, fillvalue=""))
     cells = (split_line(text.decode(line), delimiter) for line in io.BytesIO(text.data))
