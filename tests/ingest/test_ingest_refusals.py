@@ -43,6 +43,7 @@ WRONG = {
     "NUL bytes": (bytes(4000), "empty_file", "empty"),
     "empty": (b"", "empty_file", "empty"),
     "blank lines": (b"\r\n\r\n \r\n", "empty_file", "empty"),
+    "json lines": (b'{"t": 0.1, "F": 1}\n' * 40, "not_an_export", "lines=True"),
     "json": (json.dumps({"time": [0, 1], "force": [1, 2]}).encode(), "not_an_export", "JSON"),
     "html": (b"<!DOCTYPE html><html><body>1,2,3</body></html>", "not_an_export", "HTML"),
     "prose": (b"Dear colleague,\n\nplease find the data, as agreed.\n", "not_an_export", "Dear"),

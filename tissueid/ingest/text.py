@@ -195,6 +195,7 @@ _AS_CSV = {
     "an HDF5 file": 'pandas.read_hdf(FILE).to_csv("a.csv")',
     "a MATLAB file": 'writetable(T, "a.csv") in MATLAB',
     "a LabVIEW TDMS file": 'nptdms.TdmsFile(FILE).as_dataframe().to_csv("a.csv")',
+    "JSON in lines": 'pandas.read_json(FILE, lines=True).to_csv("a.csv")',
     "JSON": 'pandas.read_json(FILE).to_csv("a.csv")',
 }
 MARKUP = "XML or HTML"
@@ -256,6 +257,8 @@ def foreign_kind(head: bytes) -> str | None:
     if b"\0" in head or len(_CONTROL.findall(head)) > _CONTROL_FRACTION * len(head):
         return "binary data"
     start = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    if re.match(rb"\{[^\n]*\}\s*\n\s*\{", start):
+        return "JSON in lines"
     if re.match(rb"[\[{]\s*[\"{\[\]}]", start):
         return "JSON"
     if re.match(rb"<(?:\?xml|!doctype|html)", start, re.IGNORECASE):
