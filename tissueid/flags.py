@@ -216,8 +216,9 @@ _CAUTION = {
         "Test a second speed or depth.", "have numbers that rest on the form of the law"),
     "split_assumed": FlagKind("Split of F_s and K",
         "K is taken as constant: nothing here tells it from one that varies with depth",
-        "a1, a2, a3, K and viscosity, with their intervals, are those of a constant K; F_s at the full depth "
-        "and relaxation times do not rest on it.",
+        "a1, a2, a3, K and viscosity are those of a constant K; their intervals hold those of one that is "
+        "linear in depth, curves, bands and draws do not. F_s at the full depth and relaxation times do not "
+        "rest on it.",
         "Test a second speed or depth.", "rest on a constant K"),
     "window_dependent": FlagKind("Window",
         "halving the window moves the relaxation time by more than a fifth",

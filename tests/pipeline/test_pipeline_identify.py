@@ -13,6 +13,7 @@ import pytest
 from tissueid import collection, read_trials
 from tissueid.documents import plain
 from tissueid.documents.identification import TipGeometry
+from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.specimen import FitOptions
 from tissueid.inspection import describe_segmented
 from tissueid.measured.geometry import stated_geometry
@@ -259,6 +260,7 @@ def fit(
     repeats: int = 1,
     speeds: tuple[float, ...] = (90.0,),
     stiffness: tuple[float, ...] = (0.8,),
+    sample: bool = False,
     **options: int,
 ) -> SpecimenFit:
     """Ramps to 5 mm of depth from 1 mm in air, 20 s of hold; stops rounded, displacement with noise."""
@@ -275,7 +277,9 @@ def fit(
         crosshead_rounding_s=0.06,
     )
     trials = as_trials(simulate(plan, rng=np.random.default_rng(seed)), specimen="a")
-    (found,) = identify(trials, options=IdentifyOptions(fit=FitOptions(**options))).specimens
+    posterior = PosteriorOptions() if sample else None
+    chosen = IdentifyOptions(fit=FitOptions(**options), posterior=posterior)
+    (found,) = identify(trials, options=chosen).specimens
     return found
 
 
@@ -312,9 +316,16 @@ def test_one_push_says_how_far_its_static_force_rests_on_a_constant_stiffness(st
     depth, truth = flag.values["depth_mm"], np.polynomial.Polynomial((0.0, 0.3, 0.05, 0.01))
     assert depth == pytest.approx(2.5, abs=0.05)
     assert flag.values["low_N"] < truth(depth) < flag.values["high_N"]
-    # what its own interval of a constant K can't hold, where K grows
+    # what its own interval of a constant K can't hold, where K grows, and its interval in draws has to
     a1 = found.parameter("static_1_N_per_mm")
     assert (abs(a1.value - 0.3) < 5.0 * a1.stderr) == (stiffness == (0.8,))
+    drawn = fit(34, stiffness=stiffness, sample=True)
+    half = np.polynomial.Polynomial(stiffness)(2.5)
+    truths = {"static_1_N_per_mm": 0.3, "static_2_N_per_mm2": 0.05, "static_3_N_per_mm3": 0.01}
+    truths |= {"stiffness_0_N_per_mm": stiffness[0], "viscosity_N_s_per_mm": half * 2.0}
+    for name, true in truths.items():
+        low, high = drawn.parameter(name).uncertainty.ci95
+        assert low < true < high, name
 
 
 def test_two_speeds_are_not_flagged() -> None:

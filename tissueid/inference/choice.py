@@ -17,7 +17,7 @@ from tissueid.arrays import FloatArray, IntArray
 from tissueid.inference.blocks import Blocks
 from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.optimum import Optimum, covariance_of, minimise, nearest_in_cone, whitener_of
-from tissueid.inference.system import MACHINE, System
+from tissueid.inference.system import System
 from tissueid.inference.window import FOLDS, FittedLog
 from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import DEGREES
@@ -122,13 +122,15 @@ def rival_of(tried: Tried, chosen: Tried) -> Rival:
     return Rival(tried.name, gain, stderr, wide, float(np.exp(ln_tau)), apart, law.model(), theta)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Bent:
-    """Static force at half the depth, which a K that varies would part otherwise [N]."""
+    """Static force at half the depth [N], and parameters, which a K that varies would part otherwise."""
 
     depth_mm: float
     force_N: float  # under the constant K
     ends_N: tuple[float, float]  # 95 % of it under one that is linear in depth, within passive tissue
+    model: ChannelModel = field(repr=False)
+    theta: FloatArray = field(repr=False)  # (m, p) at both ends of each coefficient and of K half way
 
 
 def bent_of(chosen: Tried, tried: Sequence[Tried]) -> Bent | None:
@@ -140,19 +142,37 @@ def bent_of(chosen: Tried, tried: Sequence[Tried]) -> Bent | None:
             # of a K that varies the constant one is a case
             ends = min(lower, low), max(upper, high)
             if ends[1] - ends[0] > BENDS * (high - low):
-                return Bent(0.5 * chosen.law.depth_mm, force, ends)
+                return Bent(0.5 * chosen.law.depth_mm, force, ends, one.law.model(), _thetas(one))
     return None
+
+
+def _thetas(one: Tried) -> FloatArray:
+    """Theta (m, p) at the ends of 95 % of each linear coefficient, and of each K at half the depth."""
+    law = one.law
+    half = np.zeros((law.branches, law.linear))
+    for branch, at in enumerate(range(law.static_size, law.linear, law.powers)):
+        half[branch, at : at + law.powers] = 0.5 ** np.arange(law.powers)
+    at_ends = one.optimum.point.moved(
+        np.concatenate([_ends(one, row) for row in (*np.eye(law.linear), *half)])
+    )
+    return law.theta(at_ends.log_times, at_ends.linear)
 
 
 def _half_way(one: Tried) -> tuple[float, float, float]:
     """Static force at half the depth and the ends of its 95 % interval within passive tissue [N]."""
+    weights = np.zeros(one.law.linear)
+    weights[: one.law.static_size] = 0.5 ** np.arange(1.0, one.law.static_size + 1)
+    low, high = _ends(one, weights)[:, -weights.size :] @ weights
+    return float(weights @ one.optimum.point.linear), float(low), float(high)
+
+
+def _ends(one: Tried, weights: FloatArray) -> FloatArray:
+    """Shared parameters (2, n) at the ends of 95 % of a sum of the linear ones, within passive tissue."""
     shared, covariance, prior = one.optimum.point.shared, one.optimum.covariance, one.optimum.prior
-    weights, at = np.zeros(shared.size), one.law.times + len(MACHINE)
-    weights[at : at + one.law.static_size] = 0.5 ** np.arange(1.0, one.law.static_size + 1)
-    to = covariance @ weights
-    far = float(norm.ppf(0.975)) * to / np.sqrt(max(float(weights @ to), 1e-300))
-    ends = [nearest_in_cone(shared + by, covariance, prior.cone, prior.least) for by in (-far, far)]
-    return float(weights @ shared), float(weights @ ends[0]), float(weights @ ends[1])
+    to = covariance[:, shared.size - weights.size : shared.size] @ weights
+    variance = float(weights @ to[shared.size - weights.size : shared.size])
+    far = float(norm.ppf(0.975)) * to / np.sqrt(max(variance, 1e-300))
+    return np.array([nearest_in_cone(shared + by, covariance, prior.cone, prior.least) for by in (-far, far)])
 
 
 def _first_time(one: Tried) -> tuple[float, float]:

@@ -25,6 +25,7 @@ from tissueid.inference.reported import (
     CENTRAL_95,
     GAINS,
     interval95,
+    least_stiffness,
     log_theta_prior,
     next_indentation,
     predictive_bands,
@@ -37,7 +38,7 @@ from tissueid.inference.sampling import Sampled, sample
 from tissueid.inference.specimen import FittedSpecimen
 from tissueid.inference.system import MACHINE, Point
 from tissueid.inference.target import NormalTarget, SpecimenTarget, Target
-from tissueid.inference.verdict import outside, posterior_flags, reaching, unidentified, withheld
+from tissueid.inference.verdict import holding, outside, posterior_flags, reaching, unidentified, withheld
 from tissueid.model.base import scaled_theta
 from tissueid.model.channels import ChannelModel
 from tissueid.priors import Priors
@@ -229,14 +230,14 @@ def _centred(fitted: FittedSpecimen, target: SpecimenTarget, draws: Draws) -> Fi
     return moved if moved.bare.nrmsd.range <= WORSE * fitted.bare.nrmsd.range else fitted
 
 
-def without_faults(machine: FloatArray, total: Mapping[str, FloatArray]) -> Iterator[dict[str, FloatArray]]:
+def without_faults(effects: FloatArray, total: Mapping[str, FloatArray]) -> Iterator[dict[str, FloatArray]]:
     """Draws moved to where effects (n, k) that can't be negative are none: each alone, then all.
 
-    A machine without fault is the edge of its prior, which central intervals leave out; draws follow the
-    effects by a cubic, in the logarithm where they are well above zero.
+    A machine without fault, or a K of none, is the edge of its prior, which central intervals leave out.
+    Draws follow the effects by a cubic, in the logarithm where they are well above zero.
     """
-    least, usual = np.quantile(machine, (CENTRAL_95[0], 0.5), axis=0)
-    effects = machine[:, least < NONE_SHARE * usual]
+    least, usual = np.quantile(effects, (CENTRAL_95[0], 0.5), axis=0)
+    effects = effects[:, least < NONE_SHARE * usual]
     k, scaled = effects.shape[1], effects / np.maximum(effects.std(axis=0), 1e-300)
     powers = np.hstack([scaled, scaled**2, scaled**3])
 
@@ -254,29 +255,39 @@ def without_faults(machine: FloatArray, total: Mapping[str, FloatArray]) -> Iter
         yield {name: moved(values, gone) for name, values in total.items()}
 
 
+def _widest(
+    draws: Mapping[str, FloatArray], effects: FloatArray, least: Mapping[str, tuple[float, float]]
+) -> dict[str, tuple[float, float]]:
+    """Intervals of draws, of these where effects (n, k) are none, and the least ones, in one."""
+    every = [interval95(draws), *map(interval95, without_faults(effects, draws)), *([least] if least else [])]
+    return {name: (min(one[name][0] for one in every), max(one[name][1] for one in every)) for name in draws}
+
+
 def _uncertainties(
-    names: list[str],
+    target: SpecimenTarget,
+    draws: Draws,
     statistical: Mapping[str, FloatArray],
     total: Mapping[str, FloatArray] | None,
-    machine: FloatArray,
     shape: tuple[int, int],
 ) -> dict[str, ParameterUncertainty]:
     """Mean, spread, intervals and diagnostics of each reported parameter."""
-    base = statistical if total is None else total
-    edges = [interval95(one) for one in without_faults(machine, total)] if total is not None else []
-    found = diagnose({name: base[name].reshape(shape) for name in names})
-    central, wide = interval95(statistical), interval95(base)
-    out = {}
-    for name in names:
-        lows, highs = zip(*(one[name] for one in (wide, central, *edges)), strict=True)
-        out[name] = ParameterUncertainty(
-            mean=float(base[name].mean()),
-            sd=float(base[name].std(ddof=1)),
+    base, law = statistical if total is None else total, target.law
+    found = diagnose({name: one.reshape(shape) for name, one in base.items()})
+    # tissue that only just is passive is an edge as well
+    central = wide = _widest(statistical, least_stiffness(law, draws.statistical), {})
+    if total is not None:
+        effects = draws.vectors[:, target.cut_places], least_stiffness(law, draws.total)
+        wide = _widest(total, np.hstack(effects), central)
+    return {
+        name: ParameterUncertainty(
+            mean=float(one.mean()),
+            sd=float(one.std(ddof=1)),
             ci95=central[name],
-            ci95_total=None if total is None else (min(lows), max(highs)),
+            ci95_total=None if total is None else wide[name],
             **asdict(found[name]),
         )
-    return out
+        for name, one in base.items()
+    }
 
 
 def _with_medians(
@@ -319,12 +330,17 @@ def _assembled(
     total = reported_draws(model, draws.total) if instrument else None
     names = [one.name for one in fit.parameters]
     walkers, steps = sampled.chain.shape[:2]
-    found = _uncertainties(names, statistical, total, draws.vectors[:, target.cut_places], (walkers, steps))
+    found = _uncertainties(target, draws, statistical, total, (walkers, steps))
+    found = {name: found[name] for name in names}
     later = next_indentation(fitted.identified)
     found = {name: replace(one, prediction95=later.get(name)) for name, one in found.items()}
     medians = {name: float(np.median(statistical[name])) for name in names}
     named = {one.name: (one.symbol, medians[one.name]) for one in fit.parameters}
     found, apart = reaching(named, found, len(fit.trials))
+    if (bent := fitted.identified.bent) is not None:
+        # relaxation times do not rest on the constancy of K
+        others = reported_draws(bent.model, bent.theta)
+        found = holding(found, {name: one for name, one in others.items() if not name.startswith(TIME)})
     parameters = _with_medians(fit.parameters, medians, found)
     parameters, said = withheld(parameters, outside(parameters, found), "the value lies outside it")
     parameters = tuple(replace(one, uncertainty=found.get(one.name)) for one in parameters)

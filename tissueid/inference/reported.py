@@ -15,6 +15,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.documents.identification import BudgetRow, PriorRow, Source
+from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.engine import Identified
 from tissueid.inference.estimates import REFERENCE_DEPTH
 from tissueid.inference.optimum import minimise
@@ -22,7 +23,7 @@ from tissueid.inference.prior import bernstein, prior_rows, stated_shapes, time_
 from tissueid.inference.system import MACHINE, Effects, Point, System
 from tissueid.inference.target import SpecimenTarget
 from tissueid.model.base import ContactPath, branch_suffix
-from tissueid.model.channels import ChannelModel
+from tissueid.model.channels import ChannelModel, minimum_on_unit
 from tissueid.priors import WEAK_FACTOR, CalibrationPrior, Priors, SpreadPrior
 from tissueid.quantities import predicted
 from tissueid.result import SpecimenFit
@@ -264,13 +265,26 @@ def prior_table(
     return tuple(rows)
 
 
+def _linear_of(law: ChannelLaw, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Ln of the shapes, linear parameters over their field, and that, of rows of theta as a law has them."""
+    model = law.model()
+    logs = np.log(theta[:, model.shape_places])[:, np.argsort(law._order)]  # noqa: SLF001
+    field = law.field(logs)
+    return logs, theta[:, model.linear_places] / field, field
+
+
+def least_stiffness(law: ChannelLaw, theta: FloatArray) -> FloatArray:
+    """Smallest F_s/x and K_j within the depth, over their field, of rows of theta: (n, polynomials)."""
+    linear = _linear_of(law, theta)[1]
+    least = [minimum_on_unit(linear[:, one.at]) for one in law.blocks if one.polynomial]
+    return np.stack(least, axis=1) if least else np.empty((len(theta), 0))
+
+
 def log_theta_prior(target: SpecimenTarget, theta: FloatArray) -> FloatArray:
     """Ln of the prior density of rows of theta, (n, p) -> (n,), up to a constant of the specimen."""
     law, priors, model = target.law, target.priors, target.law.model()
     largest = law.largest_states(target.optimum.point.log_times, target.system.path(target.system.travel))
-    logs = np.log(theta[:, model.shape_places])[:, np.argsort(law._order)]  # noqa: SLF001
-    field = law.field(logs)
-    linear = theta[:, model.linear_places] / field
+    logs, linear, field = _linear_of(law, theta)
     value = law.ln_volume(logs, priors.linear) - logs.sum(axis=1) - np.log(field).sum(axis=1)
     spread, exponential = WEAK_FACTOR * target.force, law.relaxation.branches > 0
     for one in law.blocks:

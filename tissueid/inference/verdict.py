@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tissueid.arrays import FloatArray
 from tissueid.documents.identification import MisfitAlarm, NoiseFit
 from tissueid.flags import Flag
 from tissueid.inference.estimates import TissueEstimate
@@ -192,6 +193,18 @@ def reaching(
     words = f"logs fitted alone have {_listed(symbols, len(found))} elsewhere: {symbols[0]} at {middle:.3g}"
     values = {"names": list(middles), "alone": list(middles.values())}
     return out, (Flag("logs_apart", words, values),)
+
+
+def holding(
+    found: Mapping[str, ParameterUncertainty], others: Mapping[str, FloatArray]
+) -> dict[str, ParameterUncertainty]:
+    """Intervals that hold other values of the parameters, in a prediction too."""
+    out = dict(found)
+    for name in out.keys() & others.keys():
+        ends, own = (float(others[name].min()), float(others[name].max())), out[name]
+        later = own.prediction95 and (min(own.prediction95[0], ends[0]), max(own.prediction95[1], ends[1]))
+        out[name] = replace(_reached(own, ends), prediction95=later)
+    return out
 
 
 def outside(parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncertainty]) -> tuple[str, ...]:
