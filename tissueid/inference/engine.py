@@ -325,7 +325,7 @@ def _orders_tried(
         best = tuple((one.branches, one.degree) for one in as_good)
         orders = [] if single else [one for one in _further(request, chosen, best) if one not in done]
         if not orders:
-            constant = not single and chosen.degree == 0 and one_program(facts)
+            constant = not single and chosen.degree == 0
             return _Orders(chosen, table, best, bent_of(chosen, tried) if constant else None)
 
 
