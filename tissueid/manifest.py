@@ -212,7 +212,8 @@ class Study(Shown):
     def protocol(self, decision: Decision, stated: Protocol) -> Protocol:
         """Protocol that the file states, filled from the study where the file is silent."""
         said = decision.protocol
-        return Protocol(
+        return replace(
+            stated,
             kind=stated.kind or said.get("kind"),
             speed_mm_s=stated.speed_mm_s or said.get("speed_mm_s"),
             depth_mm=stated.depth_mm or said.get("depth_mm"),

@@ -243,8 +243,8 @@ def test_a_protocol_fills_in_what_files_do_not_state_and_a_frame_has_an_sd(tmp_p
         )
     )
     decision = study.decision(str(tmp_path / "a.csv"), None)
-    stated = Protocol(kind="comp", speed_mm_s=1.0, hold_s=0.0)
-    assert study.protocol(decision, stated) == Protocol("comp", 1.0, 8.0, 0.0, 2.0)
+    stated = Protocol(kind="comp", speed_mm_s=1.0, hold_s=0.0, load_limit_N=20.0)
+    assert study.protocol(decision, stated) == Protocol("comp", 1.0, 8.0, 0.0, 2.0, load_limit_N=20.0)
     study = read_study(write_study(tmp_path, "[calibration]\nframe_stiffness_N_per_mm = 1000\n"))
     assert study.calibration.values["frame_stiffness_N_per_mm_sd"] == 100.0
     frame = study.calibration.frame
