@@ -35,10 +35,10 @@ def test_angles_found_by_search_and_forces_by_differences_are_those_of_the_drive
     for direction in rng.normal(size=(30, 3)):
         # in the working sphere of 40 mm about its centre
         place = [0.0, 0.0, 0.13] + 0.04 * direction / np.linalg.norm(direction) * rng.random() ** (1.0 / 3.0)
-        assert machine.leg_angles(place, machine.LENGTHS, machine.AZIMUTHS, found)
+        assert machine.leg_angles(place, found)
         np.testing.assert_allclose(found, kinematics.inverse(place), atol=1e-12)
         torques = kinematics.torque(place, wanted)
-        assert machine.grip_force(place, torques, machine.LENGTHS, machine.AZIMUTHS, force)
+        assert machine.grip_force(place, torques, force)
         # truncation of a central difference over 10 um
         np.testing.assert_allclose(force, wanted, atol=1e-6)
 
@@ -46,8 +46,8 @@ def test_angles_found_by_search_and_forces_by_differences_are_those_of_the_drive
 @pytest.mark.parametrize("place", [[0.0, 0.0, 0.25], [0.15, 0.0, 0.1], [0.0, 0.12, 0.13]])
 def test_a_place_out_of_reach_is_said(place):
     found, force = np.full(3, 7.0), np.ones(3)
-    assert not machine.leg_angles(np.array(place), machine.LENGTHS, machine.AZIMUTHS, found)
-    assert not machine.grip_force(np.array(place), np.ones(3), machine.LENGTHS, machine.AZIMUTHS, force)
+    assert not machine.leg_angles(np.array(place), found)
+    assert not machine.grip_force(np.array(place), np.ones(3), force)
     assert (force == 0.0).all()
 
 

@@ -212,8 +212,7 @@ class ForceDimensionDevice(HapticDevice):
         asked = ("dhdGetPosition", "dhdSetForce", "dhdGetButtonMask")
         addresses = [ctypes.cast(getattr(self._sdk.library, name), c_void_p).value or 0 for name in asked]
         handles = np.array([*addresses, self._sdk.identity], np.int64)
-        constants = np.concatenate([ROTATION.ravel(), ORIGIN_M])
-        return CompiledIO("tissueid.haptics.forcedimension.servo_io:SDK", handles, constants)
+        return CompiledIO("tissueid.haptics.forcedimension.servo_io:SDK", handles)
 
     def _open(self) -> None:
         sdk = Sdk()

@@ -14,7 +14,7 @@ from numba import types
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel
 from tissueid.haptics.device import HOMED, PRESSED, REPLY, STEP_M, Access, CompiledIO, register
-from tissueid.haptics.forcedimension.device import wire_buttons
+from tissueid.haptics.forcedimension.device import ORIGIN_M, ROTATION, wire_buttons
 from tissueid.haptics.foreign import by_address
 from tissueid.haptics.guard import REPLY_LOST, REPLY_VALID
 
@@ -27,25 +27,19 @@ _get_buttons = by_address(types.uint32, types.int8)
 
 
 class ForceDimensionIO(NamedTuple):
-    """Addresses of the driver's functions, its number of the device, and where its frame lies in ours."""
+    """Addresses of the driver's functions, its number of the device, and room for its numbers."""
 
     get_position: int
     set_force: int
     get_buttons: int
     identity: int
-    rotation: FloatArray
-    origin: FloatArray
     driver: FloatArray
     flags: IntArray
 
 
 def _made(given: CompiledIO) -> ForceDimensionIO:
     """The tuple of a device."""
-    rotation = np.ascontiguousarray(given.constants[:9]).reshape(3, 3)
-    origin = np.ascontiguousarray(given.constants[9:])
-    return ForceDimensionIO._make(
-        (*given.handles.tolist(), rotation, origin, np.zeros(3), np.zeros(1, np.int64))
-    )
+    return ForceDimensionIO._make((*given.handles.tolist(), np.zeros(3), np.zeros(1, np.int64)))
 
 
 @tick_kernel
@@ -60,9 +54,9 @@ def _sense(io: ForceDimensionIO, dt: float, position: FloatArray, counts: IntArr
     words[REPLY] = REPLY_VALID
     words[PRESSED] = wire_buttons(int(_get_buttons(io.get_buttons, (io.identity,))))
     for i in range(3):
-        position[i] = io.origin[i]
+        position[i] = ORIGIN_M[i]
         for j in range(3):
-            position[i] += io.rotation[i, j] * io.driver[j]
+            position[i] += ROTATION[i, j] * io.driver[j]
         counts[i] = math.floor(position[i] / STEP_M)
 
 
@@ -72,7 +66,7 @@ def _command(io: ForceDimensionIO, guard_memory: FloatArray, limits: FloatArray,
     for j in range(3):
         io.driver[j] = 0.0
         for i in range(3):
-            io.driver[j] += io.rotation[i, j] * force[i]
+            io.driver[j] += ROTATION[i, j] * force[i]
     result = _set_force(io.set_force, (io.driver[0], io.driver[1], io.driver[2], io.identity))
     if result < 0 or result > LARGEST_SENT:
         io.flags[0] = 1

@@ -193,9 +193,10 @@ def parse_fault(text: str) -> ScriptedFault:
     return ScriptedFault(kind.strip(), numbers[0], numbers[1], numbers[2])
 
 
-#: Thigh, shin, the two pins together, wrist from the platform's centre along and across the leg, pivot along
-#: and across the leg [m].
-LENGTHS = np.array([0.060, 0.1025, 0.01125 + 0.01125, 0.01443, -0.025, 0.040, -0.02309])
+#: Thigh, shin and the two pins together [m].
+THIGH_M, SHIN_M, PINS_M = 0.060, 0.1025, 0.01125 + 0.01125
+#: Wrist from the platform's centre, and pivot, each along and across the leg [m].
+WRIST_M, PIVOT_M = (0.01443, -0.025), (0.040, -0.02309)
 AZIMUTHS = np.radians(np.array([105.0, -15.0, -135.0]))
 ZERO_RAD = math.radians(35.0)
 #: 320 lines, four edges each, behind a drum of 110 on a capstan of 14.25.
@@ -207,17 +208,15 @@ DIFFERENCE_M = 1e-5
 
 
 @kernel()
-def _shin_excess(lengths: FloatArray, angle: float, along: float, out: float, lean: float) -> float:
+def _shin_excess(angle: float, along: float, out: float, lean: float) -> float:
     """Length the shin would need at a thigh angle, less the one it has."""
-    knee_along = lengths[0] * math.cos(angle)
-    knee_out = lengths[0] * math.sin(angle)
-    rho = math.hypot(along - knee_along, out - knee_out)
+    rho = math.hypot(along - THIGH_M * math.cos(angle), out - THIGH_M * math.sin(angle))
     # nearer than the pins are long, the parallelogram would have to fold over itself
-    return float(math.copysign(math.hypot(rho - lengths[2], lean), rho - lengths[2]) - lengths[1])
+    return float(math.copysign(math.hypot(rho - PINS_M, lean), rho - PINS_M) - SHIN_M)
 
 
 @kernel()
-def leg_angles(position: FloatArray, lengths: FloatArray, azimuths: FloatArray, angles: FloatArray) -> bool:
+def leg_angles(position: FloatArray, angles: FloatArray) -> bool:
     """Write the thighs' angles (3,) [rad] at a position [m]; False, and one left, where a leg can't reach.
 
     A leg stands where ``hypot(rho - d - e, q) = b`` (Stamper, 1997), with rho the distance from knee to
@@ -226,19 +225,19 @@ def leg_angles(position: FloatArray, lengths: FloatArray, azimuths: FloatArray, 
     """
     reached = True
     for leg in range(3):
-        c, s = math.cos(azimuths[leg]), math.sin(azimuths[leg])
-        along = c * position[0] + s * position[1] - lengths[5] + lengths[3]
-        lean = c * position[1] - s * position[0] - lengths[6] + lengths[4]
+        c, s = math.cos(AZIMUTHS[leg]), math.sin(AZIMUTHS[leg])
+        along = c * position[0] + s * position[1] - PIVOT_M[0] + WRIST_M[0]
+        lean = c * position[1] - s * position[0] - PIVOT_M[1] + WRIST_M[1]
         high = math.atan2(position[2], along)
         low = high - math.pi
-        far = _shin_excess(lengths, low, along, position[2], lean)
-        near = _shin_excess(lengths, high, along, position[2], lean)
-        if not (abs(lean) <= lengths[1] and far >= 0.0 >= near):
+        far = _shin_excess(low, along, position[2], lean)
+        near = _shin_excess(high, along, position[2], lean)
+        if not (abs(lean) <= SHIN_M and far >= 0.0 >= near):
             reached = False
             continue
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            if _shin_excess(lengths, middle, along, position[2], lean) > 0.0:
+            if _shin_excess(middle, along, position[2], lean) > 0.0:
                 low = middle
             else:
                 high = middle
@@ -247,9 +246,7 @@ def leg_angles(position: FloatArray, lengths: FloatArray, azimuths: FloatArray, 
 
 
 @kernel()
-def grip_force(
-    position: FloatArray, torque: FloatArray, lengths: FloatArray, azimuths: FloatArray, force: FloatArray
-) -> bool:
+def grip_force(position: FloatArray, torque: FloatArray, force: FloatArray) -> bool:
     """Write the force [N] of arm torques [N m], by differences: zero, and False, out of reach."""
     place = position.copy()
     ahead = np.zeros(3)
@@ -257,9 +254,9 @@ def grip_force(
     force[:] = 0.0
     for axis in range(3):
         place[axis] = position[axis] + DIFFERENCE_M
-        reached = leg_angles(place, lengths, azimuths, ahead)
+        reached = leg_angles(place, ahead)
         place[axis] = position[axis] - DIFFERENCE_M
-        reached = leg_angles(place, lengths, azimuths, behind) and reached
+        reached = leg_angles(place, behind) and reached
         place[axis] = position[axis]
         if not reached:
             force[:] = 0.0
@@ -335,7 +332,7 @@ class EmulatedFalcon:
         self.parameters = with_homing(settings.hand, homes=settings.homes).write(Arm().block())
         self.memory = new_arm(np.array(START_M))
         self._angles = np.zeros(3)
-        leg_angles(np.array(START_M), LENGTHS, AZIMUTHS, self._angles)
+        leg_angles(np.array(START_M), self._angles)
         # an unknown zero: the counters start at nought wherever the grip hangs
         self._zero = np.floor((self._angles - ZERO_RAD) * COUNTS_PER_RAD)
         self._pulled = np.zeros(3, dtype=bool)
@@ -350,7 +347,7 @@ class EmulatedFalcon:
         self.answer_delay_s = 0.0
         self.force_N = np.zeros(3)
         # compiled, or taken from the disk, now: at the first force it would be silent for half a second
-        grip_force(np.array(START_M), np.zeros(3), LENGTHS, AZIMUTHS, np.zeros(3))
+        grip_force(np.array(START_M), np.zeros(3), np.zeros(3))
         arm_step(self.memory.copy(), self.parameters, self.force_N, HELD_FORCE_S)
 
     # --- what a test may look at
@@ -450,11 +447,11 @@ class EmulatedFalcon:
         place = self.memory[POSITION : POSITION + 3]
         while (left := until - self.time_s) > 1e-12:
             if pushed:
-                grip_force(place, torque, LENGTHS, AZIMUTHS, self.force_N)
+                grip_force(place, torque, self.force_N)
             else:
                 self.force_N[:] = 0.0
             arm_step(self.memory, self.parameters, self.force_N, min(left, HELD_FORCE_S))
-            leg_angles(place, LENGTHS, AZIMUTHS, self._angles)
+            leg_angles(place, self._angles)
             if self._homing_mode:
                 # a leg that was pulled out and is now pushed in knows its zero
                 true = (self._angles - ZERO_RAD) * COUNTS_PER_RAD
