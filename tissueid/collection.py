@@ -374,7 +374,7 @@ def exclusion_rows(
 ) -> list[dict[str, Any]]:
     """Every excluded trial with its reason, and its specimen's numbers with and without it.
 
-    The model chosen without the trial is kept, so that the difference is the trial's and not the choice's.
+    The law chosen without the trial is kept, so that the difference is the trial's and not the choice's.
     """
     fitted = {fit.specimen: fit for fit in fits}
     rows = []
@@ -402,11 +402,9 @@ def _with_it(
         return f"it could not be fitted anyway: {one.handle.message}", []
     if without is None:
         return "the specimen has no other trial that was fitted, so there is nothing to compare", []
-    model = without.model
-    options = replace(options, branches=model.branches, stiffness_degree=model.stiffness_degree)
     handles = [*collected.groups.get(one.specimen, ()), one.handle]
     try:
-        fit = again(name, handles, options, f"again, with {one.path}")
+        fit = again(name, handles, options.of_law(without.model), f"again, with {one.path}")
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         return arithmetic_refusal(one.path, one.sheet, "fitted", error).message, []
     before = {estimate.name: estimate for estimate in without.parameters}

@@ -262,15 +262,7 @@ class Fit(_Reported):
                 why = "has to be positive" if one.name in positive else "follows from other parameters"
                 told = ", ".join(law.model().parameter_names)
                 refuse(f"{name} = {value:g}: {one.name} {why}; {told} can be fixed")
-        options = self.setting.options
-        if self.result.model.key == KELVIN_VOIGT:
-            chosen = self.result.model
-            options = replace(
-                options,
-                model=KELVIN_VOIGT,
-                branches=chosen.branches,
-                stiffness_degree=chosen.stiffness_degree,
-            )
+        options = self.setting.options.of_law(self.result.model)
         return fit(
             self.trials, specimen=self.result.specimen, options=options, segment=self.setting.segment,
             priors=replace(priors, linear=linear, shapes=shapes, relaxation_time_s=tuple(times.values())),

@@ -151,7 +151,7 @@ def _fit(
     study: Study | None,
     tick: Callable[[str], None],
     *,
-    normalised: bool = False,
+    normalised: bool,
 ) -> FittedSpecimen:
     """Fit one specimen in the displacement of the tip."""
     frame = None if study is None else study.calibration.frame
@@ -347,9 +347,13 @@ def identify(
     )
     names = collection.display_names(collected.sources) if names is None else names
     fits = _fit_all(collected, names, options, study, progress, checkpoint)
+    normalised = {fit.specimen: fit.axes.normalised for fit in fits}
 
     def fit_again(name: str, handles: Sequence[LogHandle], fit: FitOptions, because: str) -> SpecimenFit:
-        return _fit(name, handles, fit, study, lambda text: progress(f"{name} {because}: {text}", 0, 0)).fit
+        def tick(text: str) -> None:
+            progress(f"{name} {because}: {text}", 0, 0)
+
+        return _fit(name, handles, fit, study, tick, normalised=normalised[name]).fit
 
     kept = collection.without_excluded(refused, collected, study)
     exclusions = collection.exclusion_rows(collected, names, fits, options.fit, fit_again)

@@ -36,7 +36,6 @@ from tissueid.manifest import Calibration, Study
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel
 from tissueid.model.frame import linear_frame
-from tissueid.model.grammar import KELVIN_VOIGT
 from tissueid.notebook import drawing
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.rendering.options import ASSUMED_DEVICE, RenderOptions, as_tissue
@@ -402,18 +401,14 @@ def _refit(bundle: Bundle, program: Program, felt: Felt, path: Path) -> Specimen
         # times of a spectrum, and of the yardstick, follow the recording: their numbers are other numbers
         return None
     trial = Trial(bundle.specimen, time, depth, force, source=Source(path=path.name))
-    kelvin_voigt = bundle.model.key == KELVIN_VOIGT
-    options = FitOptions(
-        model=bundle.model.name or bundle.model.key,
-        branches=bundle.model.branches if kelvin_voigt else None,
-        stiffness_degree=bundle.model.stiffness_degree if kelvin_voigt else None,
-    )
     found = identify(
         [trial],
         study=Study("twin", calibration=_machine(felt, program)),
         # a device does not break: steps of counts are no rupture
         options=IdentifyOptions(
-            fit=options, segment=SegmentOptions(rupture=False), posterior=PosteriorOptions(draws=DRAWS)
+            fit=FitOptions().of_law(bundle.model),
+            segment=SegmentOptions(rupture=False),
+            posterior=PosteriorOptions(draws=DRAWS),
         ),
     )
     if not found.specimens:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -100,8 +101,10 @@ def test_the_band_holds_the_whole_force_of_sites_that_were_left_out():
     assert 0.05 < np.median(wide) < 0.4
 
 
-def test_a_parameter_that_is_fixed_stays_and_the_others_follow(own):
-    fixed = own.fix(p=0.55, c=2.02)
+def test_a_parameter_that_is_fixed_stays_with_the_law_that_was_chosen_and_the_others_follow(own):
+    asked = replace(own.setting.options, model=f"kelvin-voigt | {own.result.model.name}")
+    fixed = replace(own, setting=replace(own.setting, options=asked)).fix(p=0.55, c=2.02)
+    assert (fixed.result.model.name, fixed.selection) == (own.result.model.name, ())
     assert fixed["p"].value == pytest.approx(0.55, rel=1e-4)
     assert fixed["c"].value == pytest.approx(2.02, rel=1e-4)
     assert fixed["tau"].value > own["tau"].value

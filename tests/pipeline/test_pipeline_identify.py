@@ -6,24 +6,27 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from tissueid import collection, read_trials
+from tissueid import collection, pipeline, read_trials
 from tissueid.documents import plain
 from tissueid.documents.identification import TipGeometry
 from tissueid.inference.posterior import PosteriorOptions
-from tissueid.inference.specimen import FitOptions
+from tissueid.inference.specimen import FitOptions, FittedSpecimen
 from tissueid.inspection import describe_segmented
+from tissueid.manifest import Entry, Study
 from tissueid.measured.geometry import stated_geometry
+from tissueid.model.grammar import KELVIN_VOIGT
 from tissueid.pipeline import DEFAULT_REQUIRED, REQUIRABLE, IdentifyOptions, identify
 from tissueid.result import Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions, segment
 from tissueid.store.files import json_bytes
 from tissueid.store.schema import first_problem
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials, recipe, simulate
-from tissueid.trial import Source, Trial
+from tissueid.trial import Axes, Source, Trial
 
 QUICK = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0))
 
@@ -34,6 +37,26 @@ def holds() -> list[Trial]:
     plan = recipe("paper-a-30")
     logs = tuple(replace(log, repeats=1) for log in plan.logs if log.name.startswith("hold"))
     return as_trials(simulate(replace(plan, logs=logs, rate_Hz=20.0), rng=np.random.default_rng(4)))
+
+
+@pytest.mark.system
+def test_an_excluded_trial_is_fitted_again_by_the_law_that_was_chosen_and_with_the_machine_as_it_was(
+    holds: list[Trial], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, asked, fitted = holds[0].source.path, [], pipeline.fit_with_state
+    study = Study("study.toml", exclusions=(Entry({"because": "x"}, (str(Path(path).resolve()),), 1),))
+
+    def spied(*given: Any, options: FitOptions, machine: bool, **more: Any) -> FittedSpecimen:
+        asked.append((len(given[1]), options.model, machine))
+        return fitted(*given, options=options, machine=machine, **more)
+
+    monkeypatch.setattr(pipeline, "fit_with_state", spied)
+    names = f"{KELVIN_VOIGT} | power * constant * prony"
+    strains = [replace(trial, axes=Axes("1", "MPa")) for trial in holds]
+    found = identify(strains, study=study, options=replace(QUICK, fit=replace(QUICK.fit, model=names)))
+    assert asked == [(3, names, False), (4, found.specimens[0].model.name, False)]
+    (row,) = found.exclusions
+    assert [one["name"] for one in row["with_it"]] == [one.name for one in found.specimens[0].parameters]
 
 
 def in_air() -> Trial:

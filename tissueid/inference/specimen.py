@@ -89,6 +89,13 @@ class FitOptions:
     noise: str = "auto"
     model: str | None = None
 
+    def of_law(self, law: ModelChoice) -> FitOptions:
+        """The same of a law that was chosen, its order known."""
+        named = replace(self, model=law.name or law.key)
+        if law.key != KELVIN_VOIGT:
+            return named
+        return replace(named, branches=law.branches, stiffness_degree=law.stiffness_degree)
+
 
 @dataclass(frozen=True, eq=False)
 class FittedSpecimen:
