@@ -152,13 +152,13 @@ def _flags(flags: Sequence[Flag]) -> str:
     return f"<ul>{''.join(told)}</ul>" if flags else ""
 
 
-def _alarmed(fit: SpecimenFit) -> bool:
+def _alarmed(found: Posterior | None) -> bool:
     """True where the residuals contradict the model."""
-    return fit.posterior is not None and fit.posterior.misfit is not None and fit.posterior.misfit.raised
+    return found is not None and found.misfit is not None and found.misfit.raised
 
 
 def _specimen(fit: SpecimenFit) -> str:
-    alarm = _alarmed(fit)
+    alarm = _alarmed(fit.posterior)
     branches = f"{fit.model.branches} branch{'es' * (fit.model.branches != 1)}"
     caption = (
         f"{fit.specimen}: {len(fit.trials)} trial{'s' * (len(fit.trials) != 1)}, {branches}, to "
@@ -196,7 +196,8 @@ def _identification(found: Identification) -> str:
         return _specimen(found.specimens[0]) + said
     rows = []
     for fit in found.specimens:
-        known = {one.name: _estimate_row(one, believed=not _alarmed(fit))[1] for one in fit.parameters}
+        believed = not _alarmed(fit.posterior)
+        known = {one.name: _estimate_row(one, believed=believed)[1] for one in fit.parameters}
         values = [known.get(name, "none") for name in _OF_MANY]
         left, codes = f"{100.0 * fit.nrmsd.range:.2g} %", ", ".join(flag.code for flag in fit.flags)
         rows.append([fit.specimen, str(len(fit.trials)), *values, left, codes])
@@ -209,9 +210,8 @@ def _posterior(found: Posterior) -> str:
     noise = f"noise {found.noise.model}, {found.noise.sigma_N:.3g} N"
     caption = f"{found.sampler.name}, {found.sampler.draws:,} draws, {ended}; {noise}"
     headings = ("parameter", "mean", "sd", "95 % statistical", "95 % total", "R-hat", "ESS bulk")
-    alarm = found.misfit is not None and found.misfit.raised
     rows = [[name, *_sure_cells(one)] for name, one in found.parameters.items()]
-    return _CONTRADICTED * alarm + table(caption, headings, rows)
+    return _CONTRADICTED * _alarmed(found) + table(caption, headings, rows)
 
 
 def _sure_cells(one: ParameterUncertainty) -> list[str]:

@@ -257,18 +257,17 @@ def _fit_all(
             progress(f"{name}: {message}", done, total)
 
         tick("fitting")
+        axes = collected.axes[specimen]
         try:
-            own = _own_options(options.fit, study, name, collected.axes[specimen])
-            normalised = collected.axes[specimen].normalised
-            fitted = _fit(name, handles, own, study, tick, normalised=normalised)
-            identity = _identity(collected.inputs, specimen, options, study)
+            own = _own_options(options.fit, study, name, axes)
+            fitted = _fit(name, handles, own, study, tick, normalised=axes.normalised)
             fit = with_draws(
                 fitted,
                 options.posterior,
                 _priors(study),
-                instrument=not normalised,
+                instrument=not axes.normalised,
                 checkpoint=None if checkpoint is None else checkpoint(fitted.bare.specimen),
-                key=identity,
+                key=_identity(collected.inputs, specimen, options, study),
                 tick=tick,
             )
         except InputError as error:
@@ -288,7 +287,7 @@ def _fit_all(
         if own.geometry is not None:
             said = own.geometry.indenter
             radius_mm, tip = radius_mm or said.radius_mm, typed(members(said, TipGeometry), TipGeometry)
-        fit = replace(fit, tip_radius_mm=radius_mm, tip=tip, axes=collected.axes[specimen])
+        fit = replace(fit, tip_radius_mm=radius_mm, tip=tip, axes=axes)
         fits.append(collection.study_flags(fit, collected, study))
     progress("fitted", total, total)
     return fits

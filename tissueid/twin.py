@@ -23,7 +23,7 @@ from tissueid.errors import DeviceError, refuse
 from tissueid.haptics.falcon.calibration import Calibration as FalconCalibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
-from tissueid.haptics.hand import Hand, along
+from tissueid.haptics.hand import SCRIPT_CLEARANCE_MM, Hand, along, way_of
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE
 from tissueid.haptics.shared_hand import MAX_KNOTS
@@ -51,9 +51,8 @@ from tissueid.segment import SegmentOptions, segment
 from tissueid.store.bundle import Bundle
 from tissueid.trial import Source, Trial, contact_frame
 
-#: Rest above the tissue before the motion [s]: longer than the ramp of a start; height and speed of the way
-#: to it [mm, mm/s].
-REST_S, CLEARANCE_MM, APPROACH_MM_S = 0.7, 0.5, 2.0
+#: Rest above the tissue before the motion [s]: longer than the ramp of a start; speed on the way down [mm/s].
+REST_S, APPROACH_MM_S = 0.7, 2.0
 #: Deviation of straight stretches from a recording's travel that is tried first, over its depth.
 FINEST = 2e-4
 #: Claimed over travelled depth from which a travel is taken as it is, and below which it is of other tissue:
@@ -92,11 +91,7 @@ def program_of_script(script: Script) -> Program:
     """Strokes of a script, from above the tissue on; UsageError where they never touch it."""
     if script.depth_mm <= 0.0:
         refuse(f"the script goes {script.depth_mm:g} mm deep, to no tissue: add 'indent 4 mm at 250 mm/min'")
-    time, depth = [0.0, REST_S], [-CLEARANCE_MM, -CLEARANCE_MM]
-    for stroke in script.strokes:
-        time.append(time[-1] + stroke.duration_s)
-        depth.append(stroke.depth_mm)
-    return _whole(np.array(time), np.array(depth), script.text)
+    return _whole(*way_of(script.strokes, REST_S), script.text)
 
 
 def program_of_recording(trial: Trial, depth_mm: float) -> Program:
@@ -118,15 +113,15 @@ def program_of_recording(trial: Trial, depth_mm: float) -> Program:
     deeper = scale < SAME_DEPTH
     depth = scale * depth if deeper else depth
     words = f"travel of {trial.name}" + f", scaled to {depth_mm:.3g} mm" * deeper
-    path = np.column_stack([time, np.maximum(depth, -CLEARANCE_MM)])
+    path = np.column_stack([time, np.maximum(depth, -SCRIPT_CLEARANCE_MM)])
     tolerance = FINEST * float(depth.max())
     knots = _simplified(path, tolerance)
     while len(knots) > MAX_KNOTS - 3:
         tolerance *= 1.5
         knots = _simplified(path, tolerance)
-    came_s = CLEARANCE_MM / APPROACH_MM_S
+    came_s = SCRIPT_CLEARANCE_MM / APPROACH_MM_S
     time = np.concatenate([[0.0, REST_S], REST_S + came_s + knots[:, 0]])
-    depths = np.concatenate([[-CLEARANCE_MM, -CLEARANCE_MM], knots[:, 1]])
+    depths = np.concatenate([[-SCRIPT_CLEARANCE_MM, -SCRIPT_CLEARANCE_MM], knots[:, 1]])
     depths[2] = 0.0
     whole = _whole(time, depths, words)
     recorded = np.column_stack([REST_S + came_s + path[:, 0], force])

@@ -318,10 +318,8 @@ ARM_SURFACE = np.array([0.01, -0.02, 0.13])
 
 
 def test_a_script_moves_the_grip_in_tissue_units_whatever_the_force():
-    hand = scripted_hand(
-        "indent 8 mm at 250 mm/min; hold 0.1 s; retract to 3 mm at 10 mm/s",
-        motion_scale=5.0, surface_m=ARM_SURFACE, inward=INWARD, rest_s=0.2,
-    )  # fmt: skip
+    strokes = parse_script("indent 8 mm at 250 mm/min; hold 0.1 s; retract to 3 mm at 10 mm/s")
+    hand = scripted_hand(strokes, motion_scale=5.0, surface_m=ARM_SURFACE, inward=INWARD, rest_s=0.2)
     memory, block = new_arm(hand.start_m), hand.write(Arm().block())
     speed = 250.0 / 60.0
     corner = 0.2 + 8.5 / speed  # from half a millimetre above the tissue

@@ -14,7 +14,7 @@ import pytest
 from emulated_session import HOMED_S, TICK_S, EmulatedSession
 
 from tissueid.cli.main import main
-from tissueid.haptics.hand import scripted_hand
+from tissueid.haptics.hand import parse_script, scripted_hand
 from tissueid.haptics.states import Fault, State
 from tissueid.rendering.options import ASSUMED_DEVICE, preset_tissue
 from tissueid.store.session_log import raw_head, read_session_log
@@ -35,7 +35,7 @@ def at_the_grip(seed: int) -> np.ndarray:
     rng = np.random.default_rng([44, seed])
     surface = np.array([*rng.uniform(-2e-3, 2e-3, 2), 0.1445 + rng.uniform(-1e-3, 1e-3)])
     where = {"surface_m": surface, "inward": np.array([0.0, 0.0, -1.0])}
-    hand = scripted_hand(SCRIPT, motion_scale=5.0, rest_s=REST_S, **where)
+    hand = scripted_hand(parse_script(SCRIPT), motion_scale=5.0, rest_s=REST_S, **where)
     with EmulatedSession(hand=hand, surface_z=float(surface[2])) as session:
         scale = session.scale
         assert scale.motion == 5.0

@@ -117,12 +117,12 @@ def febio_card(prony: Prony) -> bytes:
         rows.append(f"  <g{place + 1}>{g:.9g}</g{place + 1}>\n  <t{place + 1}>{t:.9g}</t{place + 1}>")
     said = "\n".join(f"     {line}" for line in _said(prony)).replace("--", "- -")
     name = escape(prony.specimen, {'"': "&quot;"})
-    elastic = ["<E></E><!-- long-term modulus of your model -->", "<v></v>"]
-    inside = "\n".join(f"    {line}" for line in elastic)
     text = (
         f"<!--\n{said}\n-->\n"
         f'<material id="1" name="{name}" type="viscoelastic">\n'
         + "\n".join(rows)
-        + f'\n  <elastic type="neo-Hookean">\n{inside}\n  </elastic>\n</material>\n'
+        + '\n  <elastic type="neo-Hookean">\n'
+        "    <E></E><!-- long-term modulus of your model -->\n    <v></v>\n"
+        "  </elastic>\n</material>\n"
     )
     return text.encode("utf-8")

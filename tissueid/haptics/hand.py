@@ -205,14 +205,21 @@ def parse_script(text: str) -> tuple[Stroke, ...]:
     return tuple(strokes)
 
 
+def way_of(strokes: Sequence[Stroke], rest_s: float) -> tuple[FloatArray, FloatArray]:
+    """Times [s] and depths [mm] of the ends of strokes, behind a rest above the tissue."""
+    clear = -SCRIPT_CLEARANCE_MM
+    times = np.cumsum([0.0, rest_s, *(stroke.duration_s for stroke in strokes)])
+    return times, np.array([clear, clear, *(stroke.depth_mm for stroke in strokes)])
+
+
 def scripted_hand(
-    text: str, *, motion_scale: float, surface_m: FloatArray, inward: FloatArray, rest_s: float = REST_S
+    strokes: Sequence[Stroke],
+    *,
+    motion_scale: float,
+    surface_m: FloatArray,
+    inward: FloatArray,
+    rest_s: float = REST_S,
 ) -> Hand:
-    """Machine that carries the grip through a script, ``motion_scale`` times the depth in the tissue."""
-    time, depth = rest_s, -SCRIPT_CLEARANCE_MM
-    times, depths = [0.0, time], [depth, depth]
-    for stroke in parse_script(text):
-        time += stroke.duration_s
-        times.append(time)
-        depths.append(stroke.depth_mm)
-    return replace(along(surface_m, inward, times, MM * motion_scale * np.array(depths)), rigid=True)
+    """Machine that carries the grip through strokes, ``motion_scale`` times the depth in the tissue."""
+    times, depths = way_of(strokes, rest_s)
+    return replace(along(surface_m, inward, times.tolist(), MM * motion_scale * depths), rigid=True)

@@ -142,11 +142,6 @@ def quantity_rows(
     return tuple(rows)
 
 
-def _intervals(values: FloatArray) -> tuple[documents.Interval, ...]:
-    low, high = np.quantile(values, [0.025, 0.975], axis=0)
-    return tuple(zip(low.tolist(), high.tolist(), strict=True))
-
-
 def specimen_rows(
     members: Sequence[Member], stage: StageOne, draws: PopulationDraws, coordinates: Coordinates
 ) -> tuple[documents.Specimen, ...]:
@@ -162,9 +157,9 @@ def specimen_rows(
             documents.Specimen(
                 specimen=one.specimen,
                 separate=tuple(np.exp(np.median(own, axis=0)).tolist()),
-                separate_ci95=_intervals(np.exp(own)),
+                separate_ci95=tuple(map(interval_95, np.exp(own).T)),
                 pooled=tuple(np.exp(np.median(pooled, axis=0)).tolist()),
-                pooled_ci95=_intervals(np.exp(pooled)),
+                pooled_ci95=tuple(map(interval_95, np.exp(pooled).T)),
                 shrinkage=tuple(np.clip(1.0 - pooled.var(axis=0) / spread, 0.0, 1.0).tolist()),
                 far=float(draws.far[i]),
                 outlier=coordinates.names[farthest] if draws.far[i] > OUTLIER_PROBABILITY else None,

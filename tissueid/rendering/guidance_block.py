@@ -18,7 +18,7 @@ from tissueid.model.passivity import damping_bound
 from tissueid.model.restitution import Variant, damping_factor
 from tissueid.rendering import environment as env
 from tissueid.rendering import guidance as gd
-from tissueid.rendering.precheck import DAMPING_SHARE, Demands
+from tissueid.rendering.precheck import DAMPING_SHARE, PERIOD_S, Demands
 from tissueid.rendering.tissue_block import UNIT_TOLERANCE, Vector, free_air_block
 
 # Pires et al. print the form of the contact law, the form of the surface and tau = 0.05 s.  All other numbers
@@ -202,7 +202,7 @@ def needed_damping(plan: Guidance, demands: Demands) -> float:
     """Device damping [N s/m] that renders a plan passively: of pull and wall, and of the bone."""
 
     def bound(slope: float, stiffness: float, tau: float) -> float:
-        timing = {"period_s": demands.period_s, "delay_ticks": demands.delay_ticks}
+        timing = {"period_s": PERIOD_S, "delay_ticks": demands.delay_ticks}
         return damping_bound(slope, np.array([stiffness]), np.array([tau]), **timing)
 
     pull, funnel, bone = plan.pull, plan.funnel, plan.bone

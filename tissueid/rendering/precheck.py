@@ -29,6 +29,8 @@ SMALLEST_PEAK_N = 0.1
 #: Stiffness beyond which a Falcon's own driver does not go [N/m].
 LARGEST_STIFFNESS_N_PER_M = 3000.0
 MM_PER_M = 1000.0
+#: The servo runs at 1 kHz.
+PERIOD_S = 0.001
 #: Damping of a replayed motion, which no force moves, as far as a number can say it [N s/m].
 MOST_DAMPING = 1e6
 #: Limits of what can be asked for: outside, a typing error is likelier than a wish.
@@ -45,7 +47,6 @@ class Demands:
     clamp_N: float  # force clamp of the guard at this moment [N]
     damping_N_s_per_m: float
     delay_ticks: float
-    period_s: float = 0.001  # of the servo
     travel_m: float = np.inf  # room along the normal behind the surface [m]
     known: str = "assumed, not measured on this unit"  # where damping and newton come from, in words
 
@@ -53,7 +54,7 @@ class Demands:
         """Line on the damping that a rendering needs, and that the device has."""
         return (
             f"stability  needs {needed_N_s_per_m:.3g} N s/m of damping at {self.delay_ticks:g} ticks of "
-            f"{1e3 * self.period_s:g} ms; the device has {self.damping_N_s_per_m:.3g} N s/m ({self.known})"
+            f"{1e3 * PERIOD_S:g} ms; the device has {self.damping_N_s_per_m:.3g} N s/m ({self.known})"
         )
 
 
@@ -131,7 +132,7 @@ class Precheck:
             "required_damping_N_s_per_m": self.required_damping_N_s_per_m,
             "device_damping_N_s_per_m": min(self.demands.damping_N_s_per_m, MOST_DAMPING),
             "delay_ticks": self.demands.delay_ticks,
-            "period_s": self.demands.period_s,
+            "period_s": PERIOD_S,
             "known": self.demands.known,
             "lowered_from_force_scale": self.wanted_force_scale if self.lowered else None,
             "remarks": list(self.remarks),
@@ -171,8 +172,7 @@ def check_before_force(
             wanted = scaling_at(tissue, force=force_scale, motion=motion)
     except ValueError as error:
         raise DeviceError(f"no force scale: {error}; give --force-scale") from error
-    timing = {"period_s": demands.period_s, "delay_ticks": demands.delay_ticks}
-    need = required_damping(model, theta, wanted, **timing)
+    need = required_damping(model, theta, wanted, period_s=PERIOD_S, delay_ticks=demands.delay_ticks)
     scaling = _affordable(tissue, wanted, need, demands, asked=force_scale is not None)
     force = _fastest_force(tissue, np.linspace(0.0, tissue.model.depth_mm, GRID))
     result = Precheck(

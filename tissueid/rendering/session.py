@@ -23,12 +23,13 @@ from tissueid.rendering.bridge import BridgeRequest, UdpBridge
 from tissueid.rendering.environment import KIND as BLOCK_KIND
 from tissueid.rendering.environment import SURFACE, TISSUE
 from tissueid.rendering.first_start import first_start
+from tissueid.rendering.precheck import PERIOD_S
 from tissueid.rendering.recorder import Recorder, SessionSummary
 from tissueid.rendering.servo import ServoPlan, ServoProcess
 from tissueid.rendering.servo_loop import ENDED_TICKS, new_watch, virtual_loop
 from tissueid.rendering.servo_spawn import SpawnedServo
 from tissueid.rendering.servo_tick import servo_here
-from tissueid.rendering.session_plan import PERIOD_S, SessionPlan
+from tissueid.rendering.session_plan import SessionPlan
 from tissueid.rendering.surface import SURFACE_SIZE, TOOL_RADIUS
 
 #: Pause between two turns of the owner's loop [s]: a twentieth of the heartbeat's limit.

@@ -21,7 +21,7 @@ from tissueid.errors import printable, refuse
 from tissueid.haptics.device import Capabilities
 from tissueid.haptics.hand import Hand, Stroke, parse_script, scripted_hand
 from tissueid.rendering.options import Picked
-from tissueid.rendering.precheck import MOST_DAMPING, Precheck
+from tissueid.rendering.precheck import MOST_DAMPING, PERIOD_S, Precheck
 
 #: Read and agreed to before a motor moves.
 CONSENT_HARDWARE = """\
@@ -112,7 +112,6 @@ class Script:
     """Strokes of a scripted session."""
 
     text: str  # as the user wrote it
-    strokes_text: str  # the strokes alone, for the hand
     strokes: tuple[Stroke, ...]
     switches_s: tuple[float, ...]  # when to go to the next tissue, from the start of the device's time [s]
     #: From the start of the device's time to the end of the last stroke, and a moment more [s].
@@ -126,7 +125,7 @@ class Script:
     def hand(self, *, motion_scale: float, surface_m: FloatArray, inward: FloatArray) -> Hand:
         """The machine that carries the simulated grip through the strokes."""
         return scripted_hand(
-            self.strokes_text, motion_scale=motion_scale, surface_m=surface_m, inward=inward, rest_s=REST_S
+            self.strokes, motion_scale=motion_scale, surface_m=surface_m, inward=inward, rest_s=REST_S
         )
 
 
@@ -147,11 +146,7 @@ def read_script(text: str) -> Script:
                 "retract first"
             )
         switches.append(float(ends[done - 1]) if done else 0.5 * REST_S)
-    return Script(text, "; ".join(stroke_texts), strokes, tuple(switches), float(ends[-1]) + TAIL_S)
-
-
-#: The servo runs at 1 kHz.
-PERIOD_S = 0.001
+    return Script(text, strokes, tuple(switches), float(ends[-1]) + TAIL_S)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

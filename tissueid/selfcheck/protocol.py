@@ -135,12 +135,14 @@ def of_recipe(recipe: Recipe, *, rate_Hz: float | None = None) -> tuple[Protocol
         words=f"the program of {recipe.name} at {rate:g} Hz",
     )
     degree = max((len(branch.stiffness) - 1 for branch in recipe.branches), default=0)
-    if not recipe.branches:
-        message = "its tissue has no branch: there is no relaxation to infer, add [[branches]]"
-        raise InputError(code="recipe", message=message, path=recipe.name)
-    if recipe.ar1_phi < 0.0:
-        message = f"ar1_phi is {recipe.ar1_phi}; noise of negative correlation is not offered"
-        raise InputError(code="recipe", message=message, path=recipe.name)
+    variance = recipe.sigma_N**2 + recipe.ar1_sigma_N**2
+    for wrong, message in (
+        (not recipe.branches, "its tissue has no branch: there is no relaxation to infer, add [[branches]]"),
+        (recipe.ar1_phi < 0.0, f"ar1_phi is {recipe.ar1_phi}; noise of negative correlation is not offered"),
+        (variance == 0.0, "its noise is zero: a posterior needs some, give sigma_N or ar1_sigma_N"),
+    ):
+        if wrong:
+            raise InputError(code="recipe", message=message, path=recipe.name)
     try:
         model = kelvin_voigt(
             branches=len(recipe.branches), stiffness_degree=degree, depth_mm=protocol.depth_mm
@@ -151,10 +153,6 @@ def of_recipe(recipe: Recipe, *, rate_Hz: float | None = None) -> tuple[Protocol
         [(*branch.stiffness, *[0.0] * (degree + 1 - len(branch.stiffness))) for branch in recipe.branches]
     )
     tau = np.array([branch.tau_s for branch in recipe.branches])
-    variance = recipe.sigma_N**2 + recipe.ar1_sigma_N**2
-    if variance == 0.0:
-        message = "its noise is zero: a posterior needs some, give sigma_N or ar1_sigma_N"
-        raise InputError(code="recipe", message=message, path=recipe.name)
     correlated = recipe.ar1_sigma_N > 0.0 and recipe.ar1_phi > 0.0
     centre = Centre(
         model=model,

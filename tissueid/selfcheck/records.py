@@ -21,6 +21,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import MsgspecError
+from msgspec.json import decode
 from threadpoolctl import threadpool_limits
 
 from tissueid.arrays import FloatArray
@@ -136,8 +138,9 @@ class Checkpoint(AbstractContextManager["Checkpoint"]):
                 "choose another folder with -o, or delete that file to begin anew"
             )
         for line in lines[1:]:
-            record = _record_of_line(line)
-            if record is None:
+            try:
+                record = decode(line, type=Record)
+            except (MsgspecError, ValueError):
                 refuse(f"{self.path} is damaged: delete it to begin anew, or choose another folder with -o")
             self.records[record.index] = record
         return whole
@@ -160,16 +163,6 @@ class Checkpoint(AbstractContextManager["Checkpoint"]):
         self._stream.flush()
         os.fsync(self._stream.fileno())
         self._stream.close()
-
-
-def _record_of_line(line: bytes) -> Record | None:
-    """The record a line holds; ``None`` where it holds none."""
-    try:
-        values = json.loads(line)
-        known = isinstance(values, dict) and isinstance(values.get("index"), int)
-        return Record(**values) if known else None
-    except (ValueError, TypeError):
-        return None
 
 
 #: Draws a truth, simulates data and infers it again; goes to workers by pickle.  An ArithmeticError or

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from tissueid.store.xlsx import Cell, Sheet, xlsx_bytes
 from tissueid.synth.simulate import SyntheticLog
@@ -190,16 +190,10 @@ def chiaro_text(log: SyntheticLog, *, decimals: Decimals = (5, 5, 5)) -> bytes:
 
 def chiaro_zip(log: SyntheticLog, *, decimals: Decimals = (5, 5, 5)) -> bytes:
     """The same in a zip archive, beside a note; the same log gives the same bytes."""
-    return _zipped(
-        {
-            "synthetic Indentation_001.txt": chiaro_text(log, decimals=decimals),
-            "position.txt": b"synthetic: no table\n",
-        }
-    )
-
-
-def _zipped(parts: Mapping[str, bytes]) -> bytes:
-    """A zip archive; the same parts give the same bytes."""
+    parts = {
+        "synthetic Indentation_001.txt": chiaro_text(log, decimals=decimals),
+        "position.txt": b"synthetic: no table\n",
+    }
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in parts.items():

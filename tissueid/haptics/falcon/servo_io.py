@@ -170,6 +170,7 @@ def _packet(parts: FalconParts, guard_memory: FloatArray, limits: FloatArray, fo
         guard_memory[machine.LAMPS] = float(int(guard_memory[machine.LAMPS]) | CLIPPED)
     leds = packets.leds_of_state(int(guard_memory[machine.STATE]))
     packets.encode_into(parts.motor, leds, True, parts.outgoing)
+    parts.flags[UNANSWERED] += 1
 
 
 @tick_kernel
@@ -198,7 +199,6 @@ def _command_descriptor(
     """Send one packet; where the other end takes no bytes its silence is noticed by the watchdog."""
     parts = io.parts
     _packet(parts, guard_memory, limits, force)
-    parts.flags[UNANSWERED] += 1
     events = ready(io.descriptor, POLL_OUT, parts.word)
     where, size = parts.outgoing.ctypes.data, packets.PACKET_BYTES
     if (events & POLL_OUT) != 0 and _write(io.descriptor, where, size) < 0:
@@ -226,7 +226,6 @@ def _command_usb(io: UsbIO, guard_memory: FloatArray, limits: FloatArray, force:
     """Send one packet."""
     parts = io.parts
     _packet(parts, guard_memory, limits, force)
-    parts.flags[UNANSWERED] += 1
     where, size, length_at = parts.outgoing.ctypes.data, packets.PACKET_BYTES, parts.word.ctypes.data
     result = _bulk_transfer(io.address, (io.handle, io.bulk_out, where, size, length_at, io.timeout_ms))
     if result not in (0, ERROR_TIMEOUT):

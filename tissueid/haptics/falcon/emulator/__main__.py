@@ -15,7 +15,7 @@ import numpy as np
 from tissueid.errors import TissueidError
 from tissueid.haptics.falcon.emulator.links import READY_LINE, EmulatedLink
 from tissueid.haptics.falcon.emulator.machine import FAULT_KINDS, PULLED_M, EmulatorSettings, parse_fault
-from tissueid.haptics.hand import PRESETS, Hand, preset, scripted_hand
+from tissueid.haptics.hand import PRESETS, Hand, parse_script, preset, scripted_hand
 
 #: Surface that the hand of an emulator aims at [m]: the middle of the workspace, seen from the user.
 SURFACE_M = (0.0, 0.0, 0.130)
@@ -54,7 +54,7 @@ def _arguments(given: list[str] | None) -> argparse.Namespace:
 
 def _hand(options: argparse.Namespace) -> Hand | None:
     if options.script is not None:
-        return scripted_hand(options.script, motion_scale=MOTION_SCALE, **AIM)
+        return scripted_hand(parse_script(options.script), motion_scale=MOTION_SCALE, **AIM)
     if options.hand is not None:
         return preset(options.hand, depth_m=options.depth_mm * 1e-3, **AIM)
     if options.free:
