@@ -91,6 +91,13 @@ def test_bad_recipe_is_refused_with_its_reason(tmp_path, text, reason):
         load_recipe(path)
 
 
+@pytest.mark.parametrize("to_mm", [0.0, 1.0])
+def test_a_log_of_less_than_two_samples_is_refused(to_mm):
+    short = Recipe("short", (Log("a", (Move(to_mm, 60.0),)),), rate_Hz=0.5, force_filter_s=0.1)
+    with pytest.raises(UsageError, match="less than two samples"):
+        simulate(short, rng=np.random.default_rng(0))
+
+
 def test_noise_is_white_or_stationary_with_its_correlation():
     log = simulate(Recipe("noise", (SHORT,), rate_Hz=50_000.0, sigma_N=0.3), rng=np.random.default_rng(5))[0]
     noise = log.force_N - log.force_clean_N

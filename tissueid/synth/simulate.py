@@ -24,6 +24,7 @@ from typing import TypeVar
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.errors import refuse
 from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe, Rupture
 from tissueid.trial import Protocol, Source, Trial, frozen_array
 
@@ -309,6 +310,11 @@ def _one_log(
         truth["contact_offset_mm"] += recipe.contact_offset_sd_mm * float(rng.standard_normal())
     travel = crosshead_path(log, rounding_s=recipe.crosshead_rounding_s)
     time_s = np.arange(0.0, travel.time_s[-1], 1.0 / recipe.rate_Hz)
+    if time_s.size < 2:
+        refuse(
+            f"log {log.name!r} lasts {travel.time_s[-1]:g} s, less than two samples at "
+            f"{recipe.rate_Hz:g} Hz: raise rate_Hz, or let it last longer"
+        )
     rupture = recipe.rupture
     if rupture is not None:
         rupture = replace(rupture, threshold=rupture.threshold * tough * _gain(rupture.cv, rng))
