@@ -173,6 +173,7 @@ def test_what_a_machine_cannot_run_and_a_budget_without_room_are_said():
     ("change", "says"),
     [
         ({"budget_s": 700.0}, "allow a larger --budget"),
+        ({"budget_s": 1.0}, "allow a larger --budget"),
         ({"max_force_N": 1e-4}, "raise --max-force"),
         ({"max_depth_mm": 0.02}, "raise --max-depth"),
         ({"repeats": 9, "max_logs": 8}, "--repeats 9 does not fit --max-logs 8"),

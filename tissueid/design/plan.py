@@ -10,7 +10,16 @@ import numpy as np
 
 from tissueid.design.machine import Machine, Setting
 from tissueid.design.precision import Asked, Ledger, Protocol
-from tissueid.design.search import REFINED, Found, balanced, count_paths, enumerated, refined
+from tissueid.design.search import (
+    REFINED,
+    Found,
+    balanced,
+    count_paths,
+    enumerated,
+    refined,
+    rounded,
+    shallowest,
+)
 from tissueid.design.tissues import Tissues
 from tissueid.documents.design import Limit, Want
 from tissueid.errors import UsageError, refuse
@@ -188,8 +197,8 @@ def matched_wants(protocol: Protocol, machine: Machine, tissues: Tissues, asked:
 
 def _check_room(machine: Machine, ledgers: Sequence[Ledger], asked: Asked) -> None:
     """Refuse what leaves nothing to do at all."""
-    if not any(count_paths(ledger) for ledger in ledgers):
-        deepest = ledgers[0].deepest(machine.max_speed_mm_min)
+    deepest = ledgers[0].deepest(machine.max_speed_mm_min)
+    if rounded(deepest) < shallowest(ledgers[0]) and not any(map(count_paths, ledgers)):
         force = (
             f"{asked.max_force_N:g} N are reached at {deepest:.2g} mm, too shallow to plan anything: raise "
             "--max-force, or the load cell's"

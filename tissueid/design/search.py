@@ -44,13 +44,17 @@ def _holds(ledger: Ledger) -> list[float]:
     return [0.0, *sorted({rounded(float(hold)) for hold in inside})]
 
 
+def shallowest(ledger: Ledger) -> float:
+    """Depth [mm] below which an indentation tells nothing."""
+    return max(SHALLOWEST_SD * ledger.machine.contact_sd_mm, 0.02 * ledger.asked.max_depth_mm)
+
+
 def _allowed(ledger: Ledger, test: Indentation) -> bool:
     """True where machine, tissue and budget bear it."""
     machine = ledger.machine
     if not machine.min_speed_mm_min <= test.speed_mm_min <= machine.max_speed_mm_min:
         return False
-    shallowest = max(SHALLOWEST_SD * machine.contact_sd_mm, 0.02 * ledger.asked.max_depth_mm)
-    if not shallowest <= test.depth_mm <= ledger.deepest(test.speed_mm_min):
+    if not shallowest(ledger) <= test.depth_mm <= ledger.deepest(test.speed_mm_min):
         return False
     if test.hold_s > LONGEST_HOLD_S:
         return False
