@@ -15,17 +15,18 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from msgspec import MsgspecError
+from msgspec import MsgspecError, structs
 from msgspec.json import decode
 from threadpoolctl import threadpool_limits
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.base import Document
 from tissueid.errors import refuse
 from tissueid.own_process import end_with_parent
 from tissueid.store.files import write_file
@@ -48,26 +49,25 @@ class Replicate:
     quoted: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class Record:
+class Record(Document, frozen=True):
     """Numbers that are kept of one simulation."""
 
     index: int
     #: True value, posterior mean and standard deviation by name.
-    truth: Mapping[str, float] = field(default_factory=dict)
-    mean: Mapping[str, float] = field(default_factory=dict)
-    sd: Mapping[str, float] = field(default_factory=dict)
+    truth: Mapping[str, float] = {}
+    mean: Mapping[str, float] = {}
+    sd: Mapping[str, float] = {}
     #: Rank of the truth among the thinned draws, 0 to DRAWS.
-    rank: Mapping[str, int] = field(default_factory=dict)
+    rank: Mapping[str, int] = {}
     seconds: float = 0.0
     failed: str | None = None  # why there is no posterior; the mappings are then empty
-    detail: Mapping[str, float] = field(default_factory=dict)
+    detail: Mapping[str, float] = {}
     #: True where the quoted interval held the truth, for names that have one.
-    held: Mapping[str, bool] = field(default_factory=dict)
+    held: Mapping[str, bool] = {}
 
     def line(self) -> bytes:
         """One line of the checkpoint."""
-        return json.dumps(asdict(self), allow_nan=False).encode() + b"\n"
+        return json.dumps(structs.asdict(self), allow_nan=False).encode() + b"\n"
 
 
 def rank_of(truth: float, draws: FloatArray, rng: np.random.Generator) -> int:
