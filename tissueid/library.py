@@ -149,8 +149,9 @@ def fit(
         raise found.left_out[0].as_error()
     if any(one.code == "mixed_axes" for one in found.left_out):
         refuse("recordings of lengths and of strains can't be fitted together; fit each kind by itself")
-    left_out = {(one.path, one.sheet) for one in found.left_out}
-    own = tuple(one for one in given if (one.source.path, one.source.sheet) not in left_out)
+    # by themselves: recordings that are no files have one and the same path
+    fitted_ones = {id(handle.load()) for handle in found.groups[name]}
+    own = tuple(one for one, named in zip(given, pooled, strict=True) if id(named) in fitted_ones)
     setting = _Setting(options, cut, priors or Priors(), tuple(found.inputs), not found.axes[name].normalised)
     fitted = fit_with_state(
         name, found.groups[name], options=options, priors=setting.priors, machine=setting.machine

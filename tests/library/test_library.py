@@ -70,6 +70,14 @@ def test_residuals_are_those_of_the_fit_and_another_recording_is_predicted_in_it
         assert np.sqrt(np.nanmean(own.residual(other) ** 2)) < 0.01 * np.ptp(other.force_N)
 
 
+def test_of_recordings_that_are_no_files_the_one_without_contact_is_left_out_alone():
+    trial = recorded()
+    in_air = replace(trial, force_N=np.random.default_rng(0).normal(0.0, 0.05, trial.time_s.size))
+    fit = ti.fit([in_air, trial], options=ti.FitOptions(branches=1, stiffness_degree=0))
+    assert [one is trial for one in fit.trials] == [True]
+    assert [one.code for one in fit.refused] == ["no_contact"]
+
+
 def pushes(sites, *, spread, seed):
     """A tissue of one branch of 0.3 s at sites that are stiffer or softer, pushed at two speeds in turn."""
     rng, out = np.random.default_rng(seed), []
