@@ -36,6 +36,7 @@ from tissueid.manifest import Calibration, Study
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel
 from tissueid.model.frame import linear_frame
+from tissueid.model.passivity import Scaling
 from tissueid.notebook import drawing
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.rendering.options import ASSUMED_DEVICE, RenderOptions, as_tissue
@@ -186,11 +187,11 @@ class Felt:
         return self.time_s[kept], self.depth_mm[kept], force[kept]
 
 
-def emulated_falcon(tissue: Tissue, program: Program, *, force_scale: float, motion: float) -> Felt:
+def emulated_falcon(tissue: Tissue, program: Program, scale: Scaling) -> Felt:
     """The program on an emulated Falcon: counts, wire, kinematics, motors, delay; DeviceError on a fault."""
     surface = np.array(SURFACE_M)
-    hand = program.hand(motion_scale=motion, surface_m=surface, inward=np.array(INWARD))
-    felt = tissue_block(tissue, Plane(SURFACE_M), force_scale=force_scale, motion_scale=motion)
+    hand = program.hand(motion_scale=scale.motion, surface_m=surface, inward=np.array(INWARD))
+    felt = tissue_block(tissue, Plane(SURFACE_M), force_scale=scale.force, motion_scale=scale.motion)
     link = EmulatedLink(EmulatorSettings(hand=hand, period_s=TICK_S))
     falcon, now, rows = link.falcon, 0.0, []
     # a machine holds still: encoders that do not move are then in good health
@@ -205,12 +206,12 @@ def emulated_falcon(tissue: Tissue, program: Program, *, force_scale: float, mot
             now += TICK_S
             compiled_tick(io, servo, now, TICK_S, 0.0, 0)
             link.step()
-            depth = (surface[2] - falcon.position_m[2]) / motion * 1e3
-            rows.append((falcon.time_s - start, depth, falcon.force_N[2] / force_scale))
+            depth = (surface[2] - falcon.position_m[2]) / scale.motion * 1e3
+            rows.append((falcon.time_s - start, depth, falcon.force_N[2] / scale.force))
         if device.state is not State.ENGAGED:
             raise DeviceError(f"the emulated session ended in {device.fault.name.lower()}")
     time, depth, force = np.array(rows).T
-    return Felt("emulated Falcon", time, depth, force, LATE_S, COUNT_MM / motion)
+    return Felt("emulated Falcon", time, depth, force, LATE_S, COUNT_MM / scale.motion)
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,13 +224,14 @@ class Setup:
     felt: Trial | None = None
 
 
-def felt_by_a_machine(trial: Trial, *, force_scale: float, motion: float) -> Felt:
+def felt_by_a_machine(trial: Trial, scale: Scaling) -> Felt:
     """A recording at a real Falcon's grip, scales undone; UsageError where there is no contact in it."""
     segmentation = segment(trial, options=SegmentOptions(rupture=False))
     if segmentation.contact is None:
         refuse(f"{trial.name}: no contact is found in it; name what the test machine recorded at the grip")
     depth, force = contact_frame(trial, segmentation)
-    return Felt(MACHINE, trial.time_s, depth / motion, force / force_scale, LATE_S, COUNT_MM / motion)
+    at_grip = trial.time_s, depth / scale.motion, force / scale.force
+    return Felt(MACHINE, *at_grip, LATE_S, COUNT_MM / scale.motion)
 
 
 def simulated(plan: SessionPlan, folder: Path) -> Felt:
@@ -303,11 +305,11 @@ def run_twin(
     tissue, scale = as_tissue(bundle), plan.check.scaling
     steps = 5 if asked.felt is None else 6
     progress("emulated Falcon", 0, steps)
-    felt = [emulated_falcon(tissue, program, force_scale=scale.force, motion=scale.motion)]
+    felt = [emulated_falcon(tissue, program, scale)]
     progress("simulated device", 1, steps)
     felt.append(simulated(plan, folder))
     if asked.felt is not None:
-        felt.append(felt_by_a_machine(asked.felt, force_scale=scale.force, motion=scale.motion))
+        felt.append(felt_by_a_machine(asked.felt, scale))
     devices, curves = [], []
     for k, one in enumerate(felt):
         progress(f"fit of the {one.device}", 2 + k, steps)
@@ -315,7 +317,7 @@ def run_twin(
         devices.append(_device(bundle, program, one, curves[-1], folder, scale.force))
     progress("a speed that was not seen", steps - 1, steps)
     other = _unseen_program(bundle)
-    again = emulated_falcon(tissue, other, force_scale=scale.force, motion=scale.motion)
+    again = emulated_falcon(tissue, other, scale)
     progress("fit", steps, steps)
     found = document.Twin(
         schema="tissueid/twin/1",

@@ -169,7 +169,7 @@ def test_the_sampled_loop_tends_to_the_solution_of_the_differential_equations(va
 def test_a_command_longer_than_the_device_gives_is_shortened_in_its_direction():
     most = 7.0
     settings = ControlSettings(PAPER_A, gains=Gains(saturation_N=most))
-    block = simulation.loop_block(settings, period_s=1e-3, substeps=1)
+    block = simulation.loop_block(settings)
     for length, kept in ((0.5, 0.5), (1.0, 1.0), (3.0, 1.0)):
         u = simulation.saturated(block, length * most * np.array([0.6, -0.8]))
         np.testing.assert_allclose(u, kept * most * np.array([0.6, -0.8]), rtol=1e-12)

@@ -52,14 +52,14 @@ class Choice:
     why: str  # one sentence for the console and the log
 
 
-def _plugins(group: str) -> dict[str, EntryPoint]:
-    """Entry points of a group by name; a built-in name is not given away."""
-    return {entry.name: entry for entry in entry_points(group=group) if entry.name not in DEVICES}
+def _plugins() -> dict[str, EntryPoint]:
+    """Devices of other distributions by name; a built-in name is not given away."""
+    return {entry.name: entry for entry in entry_points(group=DEVICE_GROUP) if entry.name not in DEVICES}
 
 
 def device_names() -> list[str]:
     """Every device that can be named, built in first."""
-    return [*DEVICES, *sorted(_plugins(DEVICE_GROUP))]
+    return [*DEVICES, *sorted(_plugins())]
 
 
 def _loaded(kind: str, name: str, load: Callable[[], Any]) -> Any:
@@ -80,7 +80,7 @@ def device_class(name: str) -> type[HapticDevice]:
         module, _, attribute = DEVICES[name].place.partition(":")
         found = getattr(importlib.import_module(module), attribute)
     else:
-        entry = _plugins(DEVICE_GROUP).get(name)
+        entry = _plugins().get(name)
         if entry is None:
             refuse(f"no device named {name!r}; there are {', '.join(device_names())} and {AUTO}")
         found = _loaded("device", name, entry.load)
@@ -143,7 +143,7 @@ def choose_device(name: str = AUTO) -> Choice:
         device_class(name)
         return Choice(name, f"device {name}: asked for by name")
     hindered = []
-    for found in detect_all((*HARDWARE, *sorted(_plugins(DEVICE_GROUP)))):
+    for found in detect_all((*HARDWARE, *sorted(_plugins()))):
         if not found.note:
             return Choice(found.name, f"device {found.name}: found at {found.where}")
         hindered.append(f"{found.name} at {found.where}: {found.note}")

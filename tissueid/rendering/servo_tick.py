@@ -193,12 +193,6 @@ def _compiled_command(io, guard_memory, limits, force):  # type: ignore[no-untyp
 
 
 @tick_part
-def publish(head: IntArray, count: int) -> None:
-    """Say that ``count`` records since the ring was made are whole."""
-    store_release(head[PUBLISHED_AT : PUBLISHED_AT + 1], count)
-
-
-@tick_part
 def _count_motion(fresh: bool, valid: bool, counts: IntArray, last_counts: IntArray, moved: IntArray) -> None:
     """Encoder counts since the last valid reading."""
     for i in range(3):
@@ -313,7 +307,8 @@ def _record(servo: Servo, now_s: float, dt: float, late_s: float, lamps: int) ->
     record["missed"] = min(counters[MISSED], MISSED_LIMIT)
     record["label"] = int(servo.info[env.INFO_LABEL])
     counters[TICKS] = count + 1
-    publish(servo.ring_head, count + 1)
+    # this record is whole: now readers may see it
+    store_release(servo.ring_head[PUBLISHED_AT : PUBLISHED_AT + 1], count + 1)
 
 
 def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lamp: int) -> None:

@@ -20,6 +20,7 @@ from tissueid.errors import refuse
 from tissueid.store.files import write_file
 from tissueid.synth.bluehill import DIALECTS, bluehill_csv
 from tissueid.synth.machines import (
+    Decimals,
     bluehill_workbook,
     chiaro_text,
     chiaro_zip,
@@ -31,8 +32,6 @@ from tissueid.synth.machines import (
 )
 from tissueid.synth.recipe import Recipe, dump_recipe
 from tissueid.synth.simulate import SyntheticLog, simulate
-
-Decimals = tuple[int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +46,7 @@ class Export:
 def _one(write: Callable[..., bytes], **how: object) -> Callable[..., bytes]:
     """A writer of several logs, given one."""
 
-    def written(log: SyntheticLog, *, decimals: Decimals = (5, 5, 5)) -> bytes:
+    def written(log: SyntheticLog, *, decimals: Decimals) -> bytes:
         return write([log], decimals=decimals, **how)
 
     return written

@@ -14,12 +14,9 @@ from numba import types
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel
 from tissueid.haptics.device import HOMED, PRESSED, REPLY, STEP_M, Access, CompiledIO, register
-from tissueid.haptics.forcedimension.device import ORIGIN_M, ROTATION, wire_buttons
+from tissueid.haptics.forcedimension.device import DONE, ORIGIN_M, ROTATION, SATURATED, wire_buttons
 from tissueid.haptics.foreign import by_address
 from tissueid.haptics.guard import REPLY_LOST, REPLY_VALID
-
-#: ``dhdSetForce`` answers 0 (sent), 1 (too early, the last one holds) or 2 (motors saturated).
-LARGEST_SENT = 2
 
 _get_position = by_address(types.int32, types.int64, types.int64, types.int64, types.int8)
 _set_force = by_address(types.int32, types.float64, types.float64, types.float64, types.int8)
@@ -68,7 +65,7 @@ def _command(io: ForceDimensionIO, guard_memory: FloatArray, limits: FloatArray,
         for i in range(3):
             io.driver[j] += ROTATION[i, j] * force[i]
     result = _set_force(io.set_force, (io.driver[0], io.driver[1], io.driver[2], io.identity))
-    if result < 0 or result > LARGEST_SENT:
+    if result < DONE or result > SATURATED:
         io.flags[0] = 1
 
 

@@ -118,7 +118,7 @@ def render_on_simulated(tissue: Tissue, *, stiffness_scale: float = 1.0) -> Devi
 def _loop(settings: ControlSettings, device: SimulatedDevice) -> FloatArray:
     """Read, command, guard, write, once a tick; the columns of :class:`DeviceRun`."""
     ticks = round(settings.seconds / PERIOD_S)
-    block = loop_block(settings, period_s=PERIOD_S, substeps=settings.tool_substeps())
+    block = loop_block(settings)
     gains, bounds, law = settings.adaptation_gains(), settings.estimate_bounds(), tissue_law(settings)
     controller = new_controller(1, 0.5 * settings.estimated_truth())
     velocity, last = np.zeros(3), np.zeros(3)

@@ -401,8 +401,8 @@ class ControlRun:
         return np.asarray(1e3 * np.linalg.norm(self.tool_position_m - self.position_m, axis=1))
 
 
-def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> LoopBlock:
-    """Numbers of a loop whose tick takes ``period_s``."""
+def loop_block(settings: ControlSettings) -> LoopBlock:
+    """Numbers of a loop."""
     gains = settings.gains
     touched_by_device = settings.environment == "impedance"
     return LoopBlock(
@@ -422,8 +422,8 @@ def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> 
         touched_by_device=touched_by_device,
         force_scale=settings.force_scale,
         motion_scale=settings.motion_scale,
-        period_s=period_s,
-        substeps=substeps,
+        period_s=1.0 / settings.rate_Hz,
+        substeps=settings.tool_substeps(),
         rise_s=settings.push_rise_s,
     )
 
@@ -448,7 +448,7 @@ def simulate(settings: ControlSettings) -> ControlRun:
     drive[:3] = astuple(settings.push or Signal.along(*TASKS["sustained"], axes=axes))
     if settings.disturbance is not None:
         drive[3:] = astuple(settings.disturbance)
-    block = loop_block(settings, period_s=1.0 / settings.rate_Hz, substeps=settings.tool_substeps())
+    block = loop_block(settings)
     adaptation = settings.adaptation_gains(), settings.estimate_bounds()
     loop = Loop(block, tissue_law(settings), drive, device + operator, operator, truth, *adaptation)
     noise = np.zeros((ticks, axes))
