@@ -251,10 +251,12 @@ def load_log(path: Path) -> list[Watch]:
 
 
 def quick_fit(trial: Trial, options: SegmentOptions | None, study: Study | None = None) -> Fit | None:
-    """Parameters of the test alone; ``None`` without a fit."""
+    """Parameters of the test alone, by the machine and the priors of the study; ``None`` without a fit."""
     trial, options, _ = as_decided(trial, options, study)
     quick = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0), segment=options)
-    fits = identify([trial], options=quick).specimens
+    # decided on already, and fitted whatever it is excluded for
+    known = study and Study(study.path, calibration=study.calibration, priors=study.priors)
+    fits = identify([trial], study=known, options=quick).specimens
     if not fits:
         return None
     found = [Parameter(one.name, one.unit, one.value, one.stderr) for one in fits[0].parameters]

@@ -14,6 +14,7 @@ import time
 import tomllib
 import urllib.request
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,8 @@ from tissueid.documents import plain
 from tissueid.documents.inspect import Fit, Watch
 from tissueid.ingest import find_inputs, read_each
 from tissueid.inspection import describe_segmented
+from tissueid.manifest import Calibration, Study
+from tissueid.model.frame import linear_frame
 from tissueid.segment import segment
 from tissueid.store.schema import first_problem
 from tissueid.trial import Source, Trial
@@ -437,13 +440,18 @@ def test_a_fit_comes_after_the_line(tmp_path):
     assert plain(session.verdicts[0].fit) == {"nrmsd": 0.1, "parameters": []}
 
 
-def test_a_quick_fit_finds_the_parameters_of_the_truth():
-    found = quick_fit(ramp_hold(), None)
+@pytest.mark.parametrize("frame_N_per_mm", [None, 100.0])
+def test_a_quick_fit_finds_the_parameters_of_the_truth_behind_the_frame_that_the_study_knows(frame_N_per_mm):
+    trial, study = ramp_hold(), None
+    if frame_N_per_mm is not None:
+        study = Study("study.toml", calibration=Calibration(frame=linear_frame(frame_N_per_mm)))
+        trial = replace(trial, displacement_mm=trial.displacement_mm + trial.force_N / frame_N_per_mm)
+    found = quick_fit(trial, None, study)
     assert found is not None
     viscosity = {one.name: one.value for one in found.parameters}["viscosity_N_s_per_mm"]
-    # of a machine of which nothing was stated, whose filter and frame may be anything
+    # of a machine of which little was stated, whose filter may be anything
     assert viscosity == pytest.approx(20.0 * 0.5, rel=0.01)
-    assert valid(structs.replace(judge(ramp_hold()), fit=found))
+    assert valid(structs.replace(judge(trial), fit=found))
 
 
 def test_only_equal_tests_of_one_specimen_are_compared():
