@@ -11,6 +11,7 @@ from rupture_cohorts import known_cohort, typical_threshold
 
 from tissueid.documents.rupture import Test as Failure
 from tissueid.errors import NotIdentifiedError
+from tissueid.model.frame import linear_frame
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.rupture.evidence import Threshold
 from tissueid.rupture.failures import SpecimenLaw, failures_of, loaded_test
@@ -152,6 +153,19 @@ def test_the_end_of_a_test_is_where_the_synthetic_tissue_broke():
         within = 0.5 * test.step_mm * log.truth["rupture_force_N"] + 1.0
         assert test.work_N_mm == pytest.approx(log.truth["rupture_work_N_mm"], abs=within)
         assert test.residual == pytest.approx(0.2, abs=0.02)
+
+
+def test_what_a_known_frame_gives_way_is_none_of_the_depth_and_the_work():
+    (trial,) = as_trials(simulate(replace(PLAN, logs=PLAN.logs[:1]), rng=np.random.default_rng(3)))
+    divided = segment(trial, options=SegmentOptions())
+    behind = replace(trial, displacement_mm=trial.displacement_mm + trial.force_N / 500.0)
+    test, alone = loaded_test(behind, divided, linear_frame(500.0)), loaded_test(trial, divided)
+    assert test.depth_mm == pytest.approx(alone.depth_mm, abs=1e-3)
+    assert test.work_N_mm == pytest.approx(alone.work_N_mm, rel=1e-3)
+    # the frame stores F^2 / 2k
+    spring = 0.5 * alone.force_N**2 / 500.0
+    assert loaded_test(behind, divided).work_N_mm - alone.work_N_mm == pytest.approx(spring, rel=0.05)
+    assert spring > 0.05 * alone.work_N_mm
 
 
 def test_the_middle_of_the_step_is_not_early_or_late():

@@ -15,8 +15,10 @@ import numpy as np
 from tissueid.arrays import FloatArray, evenly
 from tissueid.documents.rupture import Limit, Measures
 from tissueid.documents.rupture import Test as Failure
+from tissueid.manifest import FrameCurve
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel
+from tissueid.model.frame import deflection
 from tissueid.model.rupture import hardening_ratio, rupture_measures
 from tissueid.rupture_law import CRITERIA, DEFAULT_WEIGHT
 from tissueid.trial import Segmentation, Trial, contact_frame
@@ -51,11 +53,18 @@ class LoadedTest:
     residual: float | None  # share of the force that was left, where it ruptured
 
 
-def loaded_test(trial: Trial, segmentation: Segmentation) -> LoadedTest | None:
-    """A test up to its first rupture, or to its deepest point; ``None`` without contact or loading."""
+def loaded_test(
+    trial: Trial, segmentation: Segmentation, frame: FrameCurve | None = None
+) -> LoadedTest | None:
+    """A test up to its first rupture, or to its deepest point; ``None`` without contact or loading.
+
+    ``frame``: of the machine, whose deflection is none of the tissue's depth.
+    """
     if segmentation.contact is None:
         return None
     depth, force = contact_frame(trial, segmentation)
+    if frame is not None:
+        depth = depth - deflection(frame, np.maximum(force, 0.0))
     event = next((one for one in segmentation.events if one.kind == "rupture"), None)
     last = int(np.argmax(depth)) if event is None else event.index
     below = np.flatnonzero(depth[segmentation.contact.index : last + 1] > 0.0)

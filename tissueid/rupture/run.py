@@ -54,12 +54,13 @@ def _watched(
     trials: Iterable[Trial], options: SegmentOptions, study: Study | None, ends: dict[_Key, LoadedTest]
 ) -> Iterator[Trial]:
     """The same trials; each test up to its end goes to ``ends`` as it passes by."""
+    frame = None if study is None else study.calibration.frame
     for raw in trials:
         trial, decided, excluded = as_decided(raw, options, study)
         if excluded is None:
             # the fit refuses what can't be segmented, and says why
             with contextlib.suppress(ArithmeticError, np.linalg.LinAlgError):
-                test = loaded_test(trial, segment(trial, options=decided))
+                test = loaded_test(trial, segment(trial, options=decided), frame)
                 if test is not None:
                     ends[raw.source.path, raw.source.sheet] = test
         yield raw
