@@ -193,9 +193,10 @@ class _Reported:
 
         Raises KeyError: there is none; the message lists those that there are.
         """
+        axes = self.result.axes
         for one in self.result.parameters:
             if name in {one.name, one.symbol}:
-                return one
+                return replace(one, unit=axes.unit(one.unit)) if axes.normalised else one
         known = ", ".join(f"{one.symbol} ({one.name})" for one in self.result.parameters)
         raise KeyError(f"no parameter {name!r}; there are {known}")
 
@@ -312,7 +313,7 @@ class Fit(_Reported):
             said = [one.values["reason"] for one in found.flags if one.code == "sampler_not_converged"]
             msg = f"{found.specimen}: no posterior could be sampled: {'; '.join(map(str, said))}"
             raise NotIdentifiedError(msg)
-        return Sampled(self, found, asked)
+        return Sampled(self, replace(found, axes=self.result.axes), asked)
 
 
 def _along(fit: Fit, trial: Trial, handle: LogHandle, place: int | None) -> FloatArray:

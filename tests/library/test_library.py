@@ -15,8 +15,10 @@ from tissueid.model import grammar
 from tissueid.model.base import ContactPath
 from tissueid.model.grammar import ModelNameError
 from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.trial import Axes
 
 TAU, POWER = 0.3, 0.5
+ONE_BRANCH = ti.FitOptions(branches=1, stiffness_degree=0)
 
 
 def creep(t, tau, p=(0.1, 3.0)):
@@ -73,9 +75,18 @@ def test_residuals_are_those_of_the_fit_and_another_recording_is_predicted_in_it
 def test_of_recordings_that_are_no_files_the_one_without_contact_is_left_out_alone():
     trial = recorded()
     in_air = replace(trial, force_N=np.random.default_rng(0).normal(0.0, 0.05, trial.time_s.size))
-    fit = ti.fit([in_air, trial], options=ti.FitOptions(branches=1, stiffness_degree=0))
+    fit = ti.fit([in_air, trial], options=ONE_BRANCH)
     assert [one is trial for one in fit.trials] == [True]
     assert [one.code for one in fit.refused] == ["no_contact"]
+
+
+def test_strains_and_stresses_keep_their_units_in_a_posterior_and_are_not_rendered(tmp_path):
+    fit = ti.fit(replace(recorded(), axes=Axes("1", "MPa")), options=ONE_BRANCH)
+    sampled = fit.sample(draws=50)
+    assert [one["eta"].unit for one in (fit, sampled)] == ["MPa s", "MPa s"]
+    ti.Bundle(fit, sampled).save(tmp_path / "strains.h5")
+    with pytest.raises(BundleError, match="normalised"):
+        ti.render(tmp_path / "strains.h5")
 
 
 def pushes(sites, *, spread, seed):
