@@ -37,11 +37,11 @@ from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.reported import at_samples, half_width, reported_draws
 from tissueid.inference.specimen import FitOptions, FittedSpecimen, fit_with_state, force_along
 from tissueid.ingest import ReadOptions, find_inputs, read_each
+from tissueid.manifest import Study
 from tissueid.model.base import branch_suffix
 from tissueid.model.composed import ContactModel
-from tissueid.model.grammar import KELVIN_VOIGT, candidates
 from tissueid.notebook import MEASURED, MODEL, drawing, html_of, svg_file
-from tissueid.pipeline import IdentifyOptions, run_provenance, with_draws, with_model
+from tissueid.pipeline import IdentifyOptions, refuse_unused, run_provenance, with_draws, with_model
 from tissueid.priors import Priors, SpreadPrior
 from tissueid.report.specimen_lines import specimen_lines
 from tissueid.result import Estimate, Refusal, SpecimenFit
@@ -128,12 +128,13 @@ def fit(
     InputError
         No recording can be fitted: the first reason.
     UsageError
-        There are no recordings, or displacement and force differ in their units.
+        There are no recordings, displacement and force differ in their units, or a prior is of no parameter
+        of the model.
     """
     options = options or FitOptions()
     if model is not None:
         options = replace(options, model=str(model))
-    candidates(options.model or KELVIN_VOIGT)
+    refuse_unused(options.model, Study("tissueid.fit", priors=priors or Priors()))
     given = [trials] if isinstance(trials, Trial) else list(trials)
     if not given or not all(isinstance(one, Trial) for one in given):
         refuse("there are no recordings to fit; read some with tissueid.read(folder)")

@@ -15,6 +15,7 @@ from tissueid.model import grammar
 from tissueid.model.base import ContactPath
 from tissueid.model.grammar import ModelNameError
 from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.priors import Priors
 from tissueid.trial import Axes
 
 TAU, POWER = 0.3, 0.5
@@ -242,6 +243,7 @@ def test_a_recording_without_contact_is_refused_and_the_rest_is_fitted(own):
         (lambda fit: ti.fit(fit.trials, "hooke"), ModelNameError, "'hooke' is no model"),
         (lambda fit: fit["nothing"], KeyError, r"there are c \(static_N_per_mm_n\)"),
         (lambda fit: fit.fix(tau=-1.0), UsageError, "has to be positive"),
+        (lambda fit: ti.fit(fit.trials, priors=Priors({"eta": (1.0, 0.1)})), UsageError, "of no parameter"),
         (lambda fit: ti.read("/no/such/folder"), UsageError, "no such file"),
         (lambda fit: ti.render("nope.h5"), BundleError, "no such bundle"),
         (lambda fit: ti.Trial(time_s=fit.trials[0].time_s), ValueError, "displacement_mm must be"),
