@@ -1,7 +1,5 @@
 """Closed forms and bases of exponentials outside the convolution, for comparison."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tissueid.arrays import FloatArray

@@ -1,7 +1,5 @@
 """An output folder of several specimens with posteriors, made by hand: no recording, no fitting."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Run the command line, in this process or in its own, and make small folders of recordings."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -1,7 +1,5 @@
 """A folder of one recording under several names, and its inspection that takes corrections."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

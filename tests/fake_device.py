@@ -1,7 +1,5 @@
 """A device with methods in Python, as a plug-in would write it, and every force it was sent."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tissueid.haptics.device import Capabilities, DetectedDevice, DeviceSample, HapticDevice

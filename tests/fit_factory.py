@@ -4,8 +4,6 @@ The static force is a cubic, one branch has constant stiffness K and relaxation 
 speed v the branch carries K v tau (1 - exp(-t / tau)), in the hold it decays from there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

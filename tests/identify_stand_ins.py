@@ -3,8 +3,6 @@
 Each takes the recordings of a simulated specimen and the study with its priors, and gives an identification.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Synthetic logs of a body of Hertz's law with an exponent, which gives back less speed than it takes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tissues of laws of every kind, and bundles of them, for the tests of what takes any law."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tissueid.model.channels import ChannelModel

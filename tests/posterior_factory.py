@@ -4,8 +4,6 @@ Stiffness and relaxation time are correlated as a ramp leaves them (-0.98), so t
 than either.  Total intervals are wider by a known factor.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

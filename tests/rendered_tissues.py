@@ -1,7 +1,5 @@
 """Tissues, bundles and a stepping hand for the tests of rendering."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

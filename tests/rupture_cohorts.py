@@ -4,8 +4,6 @@ The truth is made by the synthetic tissue alone: the measure of its contact forc
 Specimens differ in stiffness and, independently, in threshold; tests of one specimen in threshold.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Heads, records and summaries of made-up sessions."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

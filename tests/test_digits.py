@@ -1,7 +1,5 @@
 """One form of a rounded number: of the terminal, the report and sentences."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Compiled functions are those of the sources: an edit of a callee in another file is seen by its caller."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """A passive tissue under a moving tool, stepped as a servo steps it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tissueid.arrays import FloatArray

@@ -1,7 +1,5 @@
 """Functions that take documents, called with plain ones: tests change a member and say no more of it."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Mapping
 from functools import wraps

@@ -4,8 +4,6 @@ A row is a situation: the files of a folder, what is typed there, the exit code,
 stdout and stderr must hold between them.  A further one is a row more.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import sys

@@ -1,7 +1,5 @@
 """What is said of real recordings, held against hand-made labels and against the physics."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import io

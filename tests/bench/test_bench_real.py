@@ -1,7 +1,5 @@
 """Laws that ``benchmarks/real.py`` judges a fit by, on synthetic logs whose truth is known."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """One fitted recording for all commands, and what a machine without devices looks like to them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from typing import Any

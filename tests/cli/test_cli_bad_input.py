@@ -1,7 +1,5 @@
 """Whatever is handed in, in whatever folder, the answer is one clear message and the right code."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import os

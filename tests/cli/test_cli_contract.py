@@ -1,7 +1,5 @@
 """What ``--json`` prints is what the schemas say; every exit code, end to end, and which one wins."""
 
-from __future__ import annotations
-
 import csv
 import errno
 import hashlib

@@ -1,7 +1,5 @@
 """``tissueid design`` and ``calibrate``: what a study to come can tell, and whether its intervals cover."""
 
-from __future__ import annotations
-
 import csv
 import re
 import shlex

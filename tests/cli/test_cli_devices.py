@@ -1,7 +1,5 @@
 """``tissueid devices``: what it lists, measures and refuses, on machines without a device."""
 
-from __future__ import annotations
-
 import os
 import re
 import select

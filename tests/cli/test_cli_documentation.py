@@ -1,7 +1,5 @@
 """The program explains itself; every command of README and docs/ can be typed, and is run or says why not."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

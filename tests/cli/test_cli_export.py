@@ -1,7 +1,5 @@
 """Finished fits in another form: whole tables, draws for arviz, single tissues, and MATLAB."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import importlib.util
@@ -11,7 +9,7 @@ import types
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 from unittest.mock import Mock
 
 import numpy as np
@@ -301,7 +299,7 @@ class _Recorded:
         self.args, self.kwargs = args, kwargs
 
     @classmethod
-    def from_dict(cls, groups: dict[str, Any]) -> _Recorded:
+    def from_dict(cls, groups: dict[str, Any]) -> Self:
         return cls("tree", groups)
 
 

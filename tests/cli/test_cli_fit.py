@@ -1,7 +1,5 @@
 """What is read and fitted together, with which order, and what the terminal says of it."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """``render --scene``, ``training`` and ``control``: scenes that are felt, attempts in them, and loops."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

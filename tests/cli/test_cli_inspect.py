@@ -1,7 +1,5 @@
 """A look at recordings, once and beside the machine: lines, tables, corrections and verdicts stay right."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

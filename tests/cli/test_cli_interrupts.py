@@ -4,8 +4,6 @@ Ctrl-C is raised at a chosen step of the work, in this process: no clock decides
 ``watch``, which wait for something, are interrupted from outside in the tests of their own.
 """
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Every registered law, of impacts too, from a recording to the hand; and its twin: what a machine finds."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

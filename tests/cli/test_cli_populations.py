@@ -1,7 +1,5 @@
 """``tissueid cohort``, ``compare`` and ``rupture``: from studies to populations, pairs and failures."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Without modules of POSIX, and without libraries of the extras: recordings are read, fitted and exported."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,7 +1,5 @@
 """Real recordings that nobody here made, and ``tissueid reproduce``: from the file to numbers."""
 
-from __future__ import annotations
-
 import csv
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``tissueid render`` and ``view``: a log that fits back, refusals before any force, what opens by itself."""
 
-from __future__ import annotations
-
 import json
 import signal
 import webbrowser

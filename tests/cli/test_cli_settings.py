@@ -1,7 +1,5 @@
 """Configuration files and the environment, and completion: what counts, is refused, offered and told."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

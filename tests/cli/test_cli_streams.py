@@ -1,7 +1,5 @@
 """Every command on a terminal, under NO_COLOR and in a pipe: colours, progress, quiet; no name steers it."""
 
-from __future__ import annotations
-
 import io
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What a notebook shows of a result: escaped text, the numbers of the result, no network."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """The repository keeps its own rules, and docs/api.md names what is public, as it is called."""
 
-from __future__ import annotations
-
 import ast
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """The schemas are valid, closed, and say what the code says."""
 
-from __future__ import annotations
-
 import copy
 import json
 from dataclasses import replace

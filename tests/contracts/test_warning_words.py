@@ -4,8 +4,6 @@ Messages are f-strings: an evaluator of their syntax trees gives the longest tex
 in braces as one word that holds a number; sentences that are put together from lists are raised for real.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

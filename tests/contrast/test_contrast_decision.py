@@ -1,7 +1,5 @@
 """Are two tissues one?  Against normal theory, and over tissues that were recorded twice."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 

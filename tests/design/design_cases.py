@@ -3,8 +3,6 @@
 Everything is fixed here before it is run: tissue, machine, protocol, noise, seed, number of runs.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Machines, tissues and wants as they are given, and the files of a plan read back by their own readers."""
 
-from __future__ import annotations
-
 import csv
 import io
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The path of an indentation and its predicted precision, against fits of recordings and closed forms."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Collection
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The search: deterministic, within what is allowed, as short as a brute one, better than paper A's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise, product

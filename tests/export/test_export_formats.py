@@ -1,7 +1,5 @@
 """Exports, read back by the programs they are for."""
 
-from __future__ import annotations
-
 import ctypes
 import io
 import math

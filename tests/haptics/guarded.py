@@ -1,6 +1,6 @@
 """A guard brought into a state, and one tick of it."""
 
-from __future__ import annotations
+from typing import Self
 
 import numpy as np
 
@@ -46,7 +46,7 @@ class Guarded:
         """Equal ticks, and the forces that may be sent."""
         return [self.tick(force, **seen) for _ in range(count)]
 
-    def to(self, state: float) -> Guarded:
+    def to(self, state: float) -> Self:
         """Walk up to a state; ENGAGED with the start-up ramp behind it."""
         for event in (machine.OPENED, machine.FIRMWARE_OK, machine.HOME):
             if self.memory[machine.STATE] == state:

@@ -1,7 +1,5 @@
 """A mutant, and the verdict on what the reader made of it."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

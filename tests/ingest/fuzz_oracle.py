@@ -5,8 +5,6 @@ line is a row where every cell is a number of the dialect, blank, a line without
 What a mutant means is its rows in their order; odd lines are what a reader must not pass over.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from fuzz_seeds import FACTORS, OTHER_MARK, Intent, split_cells

@@ -1,7 +1,5 @@
 """Class (a): the same numbers in another dress, and files that were cut, joined or shuffled."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import chain
 

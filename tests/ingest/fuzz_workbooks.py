@@ -3,8 +3,6 @@
 A sheet is a grid of Python values; what it means is said here, by type: a row of three numbers is a row.
 """
 
-from __future__ import annotations
-
 import datetime as dt
 import io
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Files written and read in one line each, and logs whose digits on paper are known."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence

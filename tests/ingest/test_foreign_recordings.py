@@ -3,8 +3,6 @@
 A press into a tissue of two branches: every grammar must give back its samples, and every phase its ends.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

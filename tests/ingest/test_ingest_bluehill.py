@@ -1,7 +1,5 @@
 """Bluehill CSV in its locales: languages, random dialects, cut files, spoilt cells."""
 
-from __future__ import annotations
-
 import random
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rows from which on a file is no longer what it was, and numbers that lost their marks: refused or said."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

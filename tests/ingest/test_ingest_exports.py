@@ -1,7 +1,5 @@
 """Every export that can be written reads back as printed; force curves of microscopes too."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

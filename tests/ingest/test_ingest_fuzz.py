@@ -1,7 +1,5 @@
 """Spoilt exports are refused or read as they stand, and the fast reader is the slow one."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial

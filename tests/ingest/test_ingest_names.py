@@ -5,8 +5,6 @@ known without pint are what pint makes of them.  A row of units that is not unde
 for a remark, it would leave pounds as newtons.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterable
 from decimal import Decimal

@@ -5,8 +5,6 @@ These come from a simulator that shares nothing with the package: a crosshead wh
 load cell: white, correlated, or with mains hum.  Printed with the decimals of real exports.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Every readable real recording, against an independent plain-Python parse of the same file."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import zipfile

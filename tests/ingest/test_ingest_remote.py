@@ -1,7 +1,5 @@
 """Recordings at URLs are read where they lie, as those of a folder are."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

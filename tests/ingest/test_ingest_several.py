@@ -1,7 +1,5 @@
 """Several recordings in one text, below or beside each other, and cells that say what they hold."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

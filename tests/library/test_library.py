@@ -1,7 +1,5 @@
 """The library from recordings to a hand: what its numbers are, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Each fault of :mod:`mutants` is seen by the tests that it names."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

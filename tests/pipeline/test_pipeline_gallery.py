@@ -1,7 +1,5 @@
 """The gallery is what the code makes of the committed sets now."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from pathlib import Path

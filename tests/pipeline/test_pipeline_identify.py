@@ -1,7 +1,5 @@
 """The stages in their order: caching, refusals, names, committed numbers, and the Python interface."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Cycles, quoted numbers, moduli and normalised axes through the whole pipeline, under the schema."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Errors of tau and eta over many simulated specimens, through the segmenter, with fixed seeds."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

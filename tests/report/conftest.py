@@ -1,7 +1,5 @@
 """One browser for the tests of pages, and tabs that must be silent."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pages of fits, and tabs of a browser that show a page and hear what it says."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

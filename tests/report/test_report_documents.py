@@ -1,7 +1,5 @@
 """Pages of one document, populations too: their words, figures' numbers, and a browser that draws them."""
 
-from __future__ import annotations
-
 import html
 from collections import Counter
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The page of ``inspect --html``: what was recorded; entries are decisions, written where it is served."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

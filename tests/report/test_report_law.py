@@ -1,7 +1,5 @@
 """The figures of a law: what they are drawn from equals closed forms, and a browser shows just that."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """The page of a fit in a browser: figures and links, silent, on every screen and without a pointer."""
 
-from __future__ import annotations
-
 import base64
 import io
 import re

@@ -1,7 +1,5 @@
 """The table of trials sorts and filters; how sure a result is, in words, figures and bands."""
 
-from __future__ import annotations
-
 import base64
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Words of the report: sentences, quoted numbers and loops, the measured block and its workbook."""
 
-from __future__ import annotations
-
 import base64
 import io
 import re

@@ -1,7 +1,5 @@
 """Recomputed numbers against closed forms and other ways to compute them, and what stands behind each."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The censored likelihood against brute force; how often the criterion and its interval are right."""
 
-from __future__ import annotations
-
 from collections import Counter
 from functools import cache
 

@@ -1,7 +1,5 @@
 """What is said of a cohort, what is refused, and what goes into the bundles."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

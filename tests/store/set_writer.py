@@ -3,8 +3,6 @@
 Run as a script by the kill test: ``set_writer.py OUT FIRST``.  Every file of set ``n`` says ``n``.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A bundle comes back as it was written, or is refused with the reason."""
 
-from __future__ import annotations
-
 import json
 import re
 import sqlite3

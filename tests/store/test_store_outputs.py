@@ -3,8 +3,6 @@
 Names of specimens become file names that every system takes.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

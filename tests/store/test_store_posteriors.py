@@ -1,7 +1,5 @@
 """Curves and draws come back as they were written, and belong to the set they were written into."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import fields, replace
 from pathlib import Path

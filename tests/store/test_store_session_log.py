@@ -1,7 +1,5 @@
 """A session's log is whole after a kill, sealed after its close, and read as a recording."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """A folder of small specimens, two short logs each, tasks for workers, and what two output folders share."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A small folder of recordings with a study file, and the quickest fit of it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

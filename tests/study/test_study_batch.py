@@ -1,7 +1,5 @@
 """A cohort is computed once, as ``identify`` does; bytes and time a file, not a square of files."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

@@ -1,7 +1,5 @@
 """A cohort on Dask finds what this process finds, through lost workers and schedulers."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

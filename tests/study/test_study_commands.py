@@ -1,7 +1,5 @@
 """study init, check, exclude, include and export; decisions of a page, all else left as it was."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import tomllib

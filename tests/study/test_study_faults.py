@@ -3,8 +3,6 @@
 Tasks in processes of this machine: whatever happens to one, the others end well.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

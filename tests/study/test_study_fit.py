@@ -1,7 +1,5 @@
 """``tissueid fit`` follows study.toml, at a URL as here; flags that need several logs together."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -11,8 +11,6 @@ an ordinary differential equation that is integrated to 1e-10 of the travel betw
 crosshead's program.  Nothing is shared with the correction, which knows neither the equation nor its solver.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """study.toml, its priors and its rendering: what they mean, and how they are refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Recipes, their logs, and the sets they make on disk."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

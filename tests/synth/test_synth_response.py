@@ -1,7 +1,5 @@
 """The simulated force against closed forms, the differential equation and energy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Measures of an attempt against ways that are known."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
