@@ -1,7 +1,5 @@
 """Faults put into the code between a hand and a motor, one at a time, and the tests that must see each."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 
@@ -34,8 +32,7 @@ INTERPRETED = (
             "clamp of each axis": ("out[i] = out[i] * scale", "out[i] = min(out[i], bound)"),
             "slew left out": ("if bound > risen:", "if False:"),
             "slew of the length alone": (
-                "risen = max(along, 0.0) +",
-                "risen = _length(memory[PREVIOUS:PREVIOUS+3]) +",
+                "risen = max(along, 0.0) +", "risen = _length(memory[PREVIOUS:PREVIOUS+3]) +",
             ),
             "slew from below zero": ("risen = max(along, 0.0) +", "risen = along +"),
             "sustained limit left out": ("if bound > sustained:", "if False:"),
@@ -50,12 +47,10 @@ INTERPRETED = (
                 "    if memory[STATE] >= ARMED:\n        lamps |=",
             ),
             "a fault keeps its force": (
-                "out[i] = left * memory[FAULT_FORCE + i]",
-                "out[i] = memory[FAULT_FORCE + i]",
+                "out[i] = left * memory[FAULT_FORCE + i]", "out[i] = memory[FAULT_FORCE + i]",
             ),
             "a fault's age stands still in a stall": (
-                "            age = min(dt, LONGEST_STALL_S)",
-                "            age = 0.0",
+                "            age = min(dt, LONGEST_STALL_S)", "            age = 0.0",
             ),
             "damping pushes": ("gain * force[i] - damping *", "gain * force[i] + damping *"),
             "no ramp at engaging": (
@@ -64,24 +59,20 @@ INTERPRETED = (
             ),
             "engaged inside tissue": ("memory[READY] != 0.0 and free:", "memory[READY] != 0.0:"),
             "an unknown depth is a free tool": (
-                "memory[PENETRATION] <= 0.0 or",
-                "not memory[PENETRATION] > 0.0 or",
+                "memory[PENETRATION] <= 0.0 or", "not memory[PENETRATION] > 0.0 or",
             ),
             "a stall unseen": ("    if stalled:\n        pause(memory, limits)\n", ""),
             "the second fault is reported": (
-                "if memory[STATE] == FAULTED or memory[STATE] == CLOSED:",
-                "if memory[STATE] == CLOSED:",
+                "if memory[STATE] == FAULTED or memory[STATE] == CLOSED:", "if memory[STATE] == CLOSED:",
             ),
             "shut with force": ("        memory[STATE] = CLOSED\n", "        pass\n"),
             "parameters change in contact": ("state != ENGAGED or memory[PENETRATION] <= 0.0", "True"),
             "silence unseen": ("        fail(memory, _NO_REPLY)", "        pass"),
             "silence keeps its force": (
-                "        pause(memory, limits)\n        # nobody",
-                "        # nobody",
+                "        pause(memory, limits)\n        # nobody", "        # nobody",
             ),
             "silence damps by an old velocity": (
-                "        for i in range(3):\n            memory[VELOCITY + i] = 0.0\n",
-                "        pass\n",
+                "        for i in range(3):\n            memory[VELOCITY + i] = 0.0\n", "        pass\n",
             ),
             "damaged packets are good": ("        memory[DAMAGED] += 1.0", "        pass"),
             "a jump unseen": ("            fail(memory, _JUMP)", "            pass"),
@@ -97,8 +88,7 @@ INTERPRETED = (
             "the button is always held": ("held = limits[bar.DEAD_MAN] == 0.0 or", "held = True or"),
             "any button will do": ("buttons & int(limits[bar.DEAD_MAN_BUTTONS])", "buttons"),
             "armed by one reply": (
-                "memory[HOMED_REPLIES] + 1.0 if homed",
-                "limits[bar.HOMED_NEEDED] if homed",
+                "memory[HOMED_REPLIES] + 1.0 if homed", "limits[bar.HOMED_NEEDED] if homed",
             ),
         },
     ),
@@ -107,12 +97,10 @@ INTERPRETED = (
         ("tests/render/test_render_servo_tick.py",),
         {
             "a late wire lowers nothing": (
-                "(limits[bar.DELAY_TICKS] + memory[DELAYED_TICKS])",
-                "limits[bar.DELAY_TICKS]",
+                "(limits[bar.DELAY_TICKS] + memory[DELAYED_TICKS])", "limits[bar.DELAY_TICKS]",
             ),
             "a late answer is forgotten at once": (
-                "memory[DELAYED_TICKS] - FORGOTTEN_PER_S * step",
-                "memory[DELAYED_TICKS] - 1e6 * dt",
+                "memory[DELAYED_TICKS] - FORGOTTEN_PER_S * step", "memory[DELAYED_TICKS] - 1e6 * dt",
             ),
         },
     ),
@@ -137,20 +125,17 @@ INTERPRETED = (
             "a gap is one tick": ("        servo.since_valid[0] = 0.0\n", ""),
             "energy of what was wanted": ("    passivity.note_sent(servo.control_memory, servo.out)\n", ""),
             "the owner's wish unheard": (
-                "        machine.transition(guard_memory, limits, machine.DISENGAGE)",
-                "        pass",
+                "        machine.transition(guard_memory, limits, machine.DISENGAGE)", "        pass",
             ),
             "the step is a millisecond": (
-                "step = min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)",
-                "step = 1e-3",
+                "step = min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)", "step = 1e-3",
             ),
             "an old reading moved the hand": (
                 "    fresh = servo.counters[SEEN] < FRESH_READINGS or memory[machine.STATE]",
                 "    fresh = False and memory[machine.STATE]",
             ),
             "unanswered commands unseen": (
-                "    machine.observe_wire(memory, limits, words[devices.UNANSWERED], dt)\n",
-                "",
+                "    machine.observe_wire(memory, limits, words[devices.UNANSWERED], dt)\n", "",
             ),
         },
     ),
@@ -159,13 +144,11 @@ INTERPRETED = (
         ("tests/render/test_render_passivity_control.py",),
         {
             "the ledger in the wrong direction": (
-                "taken -= memory[SENT + i] * moved",
-                "taken += memory[SENT + i] * moved",
+                "taken -= memory[SENT + i] * moved", "taken += memory[SENT + i] * moved",
             ),
             "the brake pushes": ("    scale = -damping\n", "    scale = damping\n"),
             "the brake without a bound": (
-                "    if damping * speed > parameters[LARGEST_CORRECTION_N]:",
-                "    if False:",
+                "    if damping * speed > parameters[LARGEST_CORRECTION_N]:", "    if False:",
             ),
             "the brake jumps": ("    if change > parameters[LARGEST_CHANGE_N]:", "    if False:"),
         },
@@ -201,20 +184,16 @@ INTERPRETED = (
                 "out[i], left[i] = round(scale * torque[i] + 0.4), 0.0",
             ),
             "rounding that adds up beyond the clamp": (
-                "    if clipped or square > clamp_units * clamp_units:\n",
-                "    if clipped:\n",
+                "    if clipped or square > clamp_units * clamp_units:\n", "    if clipped:\n",
             ),
             "what rounding left is forgotten": (
-                "        left[i] = wanted - out[i]\n",
-                "        left[i] = 0.0\n",
+                "        left[i] = wanted - out[i]\n", "        left[i] = 0.0\n",
             ),
             "what rounding left is sent without a force": (
-                "        left[0] = left[1] = left[2] = 0.0\n",
-                "        pass\n",
+                "        left[0] = left[1] = left[2] = 0.0\n", "        pass\n",
             ),
             "a mirrored hand is believed": (
-                "steps >= 0 and _knees_outward(found, angles, geometry):",
-                "steps >= 0:",
+                "steps >= 0 and _knees_outward(found, angles, geometry):", "steps >= 0:",
             ),
         },
     ),
