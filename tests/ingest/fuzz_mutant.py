@@ -56,7 +56,6 @@ def textual(
     kind: str, seed: Seed, lines: Sequence[str], *, expect: Expectation, intent: Intent | None = None,
     newline: str | None = None, encoding: str | None = None, end: str | None = None,
 ) -> Mutant:  # fmt: skip
-    """A mutant from changed lines."""
     newline = seed.newline if newline is None else newline
     text = newline.join(lines) + (newline if end is None else end)
     meant = seed.intent if intent is None else intent
@@ -66,7 +65,6 @@ def textual(
 
 @cache
 def original(seed: Seed) -> tuple[tuple[float, float, float], ...]:
-    """The rows of a seed."""
     reading = fuzz_oracle.read(seed.data, seed.intent)
     assert len(reading.rows) == len(seed.lines) - seed.first
     return tuple(row.values for row in reading.rows)

@@ -82,7 +82,6 @@ def read(data: bytes, intent: Intent, turn: tuple[int, Intent] | None = None) ->
 
 
 def _like_number(cell: str) -> bool:
-    """Whether a cell begins as a number does."""
     text = cell.strip().lstrip("+-").lstrip(".,")
     return text[:1] in DIGITS
 

@@ -4,11 +4,9 @@ Bluehill files come from the synthetic writer; testXpert's text and the tables w
 plain writer here, which knows nothing of any reader.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 
@@ -78,11 +76,20 @@ class Seed:
         return self.text.encode(self.intent.encoding)
 
     def with_cells(self, rows: Iterable[int], change: Callable[[list[str]], Iterable[str]]) -> list[str]:
-        """The lines with the cells of some rows changed."""
         lines, delimiter = list(self.lines), self.intent.delimiter
         for at in rows:
             lines[at] = delimiter.join(change(split_cells(lines[at], delimiter)))
         return lines
+
+    def with_cell(self, at: int, column: int, change: Callable[[str], str]) -> list[str]:
+        return self.with_cells(
+            [at], lambda cells: [change(c) if k == column else c for k, c in enumerate(cells)]
+        )
+
+    @property
+    def unit_line(self) -> int:
+        """The row of units, or the names that have them."""
+        return self.names if self.units is None else self.units
 
 
 @cache
@@ -100,21 +107,12 @@ def _logs() -> tuple[SyntheticLog, SyntheticLog]:
 def _bluehill(name: str, dialect: Dialect, *, log: int, rows: int = 90, **intent: object) -> Seed:
     text = bluehill_csv(_logs()[log], dialect=dialect).decode(dialect.encoding)
     lines = text.split(dialect.newline)[:-1]
-    names = next(i for i, line in enumerate(lines) if line == dialect.delimiter.join(dialect.names))
-    first = names + 1 + dialect.units_row
-    meant = Intent(
-        dialect.encoding, dialect.delimiter, dialect.decimal, dialect.thousands if dialect.quoted else ""
-    )
-    return Seed(
-        name,
-        tuple(lines[: first + rows]),
-        names,
-        names + 1 if dialect.units_row else None,
-        first,
-        replace(meant, **intent),
-        dialect.newline,
-        dialect.quoted,
-    )
+    names = lines.index(dialect.delimiter.join(dialect.names))
+    units, first = names + 1 if dialect.units_row else None, names + 1 + dialect.units_row
+    thousands = dialect.thousands if dialect.quoted else ""
+    meant = Intent(dialect.encoding, dialect.delimiter, dialect.decimal, thousands, **intent)
+    kept = tuple(lines[: first + rows])
+    return Seed(name, kept, names, units, first, meant, dialect.newline, dialect.quoted)
 
 
 def _table(
@@ -127,11 +125,8 @@ def _table(
 
     top = [*head, joined(names), *([joined(units)] if units is not None else [])]
     body = [intent.delimiter.join(column(i) for column in columns) for i in range(rows)]
-    first = len(top)
-    return Seed(
-        name, (*top, *body), len(head), len(head) + 1 if units is not None else None, first, intent,
-        newline, False, suffix,
-    )  # fmt: skip
+    unit_row = len(head) + 1 if units is not None else None
+    return Seed(name, (*top, *body), len(head), unit_row, len(top), intent, newline, suffix=suffix)
 
 
 def _general(value: float) -> str:
@@ -194,42 +189,23 @@ def _tables() -> list[Seed]:
 @cache
 def seeds() -> tuple[Seed, ...]:
     """All seeds; each is read by the reader before it is spoilt."""
+    semicolon = partial(Dialect, delimiter=";", decimal=",")
+    spaced = semicolon(thousands="\u00a0", quoted=True, encoding="utf-8")
+    german = semicolon(encoding="latin-1", names=("Zeit", "Traversenweg", "Prüfkraft"))
+    polish = semicolon(encoding="cp1250", names=("Czas", "Przemieszczenie", "Obciążenie"))
+    spanish = Dialect(encoding="utf-8-sig", names=("Tiempo", "Extensión", "Carga"), quoted=True)
     in_names = ("Time (s)", "Extension (mm)", "Load (N)")
+    headless = Dialect(names=in_names, units_row=False, header=False, newline="\n")
     return (
         _bluehill("comma bare", Dialect(), log=1),
         _bluehill("comma quoted thousands", Dialect(quoted=True, thousands=","), log=0),
-        _bluehill("semicolon comma", Dialect(delimiter=";", decimal=",", encoding="utf-8"), log=0),
-        _bluehill(
-            "semicolon quoted no-break space",
-            Dialect(delimiter=";", decimal=",", thousands="\u00a0", quoted=True, encoding="utf-8"),
-            log=0,
-        ),
+        _bluehill("semicolon comma", semicolon(encoding="utf-8"), log=0),
+        _bluehill("semicolon quoted no-break space", spaced, log=0),
         _bluehill("tab, CR LF, long", Dialect(delimiter="\t"), log=0, rows=148),
         _bluehill("UTF-16", Dialect(encoding="utf-16", delimiter="\t"), log=1, rows=60),
-        _bluehill(
-            "units in names, LF",
-            Dialect(names=in_names, units_row=False, header=False, newline="\n"),
-            log=1,
-            units=("s", "mm", "N"),
-        ),
-        _bluehill(
-            "German latin-1",
-            Dialect(
-                delimiter=";", decimal=",", encoding="latin-1", names=("Zeit", "Traversenweg", "Prüfkraft")
-            ),
-            log=1,
-        ),
-        _bluehill(
-            "Polish cp1250",
-            Dialect(
-                delimiter=";", decimal=",", encoding="cp1250", names=("Czas", "Przemieszczenie", "Obciążenie")
-            ),
-            log=1,
-        ),
-        _bluehill(
-            "Spanish BOM",
-            Dialect(encoding="utf-8-sig", names=("Tiempo", "Extensión", "Carga"), quoted=True),
-            log=1,
-        ),
+        _bluehill("units in names, LF", headless, log=1, units=("s", "mm", "N")),
+        _bluehill("German latin-1", german, log=1),
+        _bluehill("Polish cp1250", polish, log=1),
+        _bluehill("Spanish BOM", spanish, log=1),
         *_tables(),
     )

@@ -1,10 +1,9 @@
 """Class (b): other values, all of them meant: read as edited, or refused; (c): units and marks spoilt."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from fuzz_mutant import Mutant, Mutation, Random, textual
 from fuzz_seeds import OTHER_MARK, UNITS_OF, Seed, split_cells
@@ -40,10 +39,14 @@ def _edited(kind: str, seed: Seed, rng: Random, change: object) -> Mutant:
     return textual(kind, seed, lines, expect="oracle")
 
 
+def _a_digit(cell: str, rng: Random) -> int:
+    """Place of one of its digits."""
+    return rng.choice([i for i, letter in enumerate(cell) if letter.isdigit()] or [0])
+
+
 def digit(seed: Seed, rng: Random) -> Mutant:
     def change(cell: str) -> str:
-        places = [i for i, letter in enumerate(cell) if letter.isdigit()]
-        i = rng.choice(places or [0])
+        i = _a_digit(cell, rng)
         return cell[:i] + rng.choice("0123456789") + cell[i + 1 :]
 
     return _edited("digit changed", seed, rng, change)
@@ -51,8 +54,7 @@ def digit(seed: Seed, rng: Random) -> Mutant:
 
 def digit_count(seed: Seed, rng: Random) -> Mutant:
     def change(cell: str) -> str:
-        places = [i for i, letter in enumerate(cell) if letter.isdigit()]
-        i = rng.choice(places or [0])
+        i = _a_digit(cell, rng)
         new = rng.choice("0123456789") + cell[i : i + 1] if rng.random() < 0.5 else ""
         return cell[:i] + new + cell[i + 1 :]
 
@@ -102,12 +104,8 @@ def unit(seed: Seed, rng: Random) -> Mutant:
     channel = rng.randrange(3)
     old = seed.intent.units[channel]
     new = rng.choice([u for u in UNITS_OF[channel] if u != old])
-    lines = list(seed.lines)
-    line = seed.names if seed.units is None else seed.units
-    cells = split_cells(lines[line], seed.intent.delimiter)
-    k = seed.intent.channels[channel]
-    cells[k] = re.sub(rf"(?<![^\W_]){old}(?![^\W_])", new, cells[k])
-    lines[line] = seed.intent.delimiter.join(cells)
+    word = rf"(?<![^\W_]){old}(?![^\W_])"
+    lines = seed.with_cell(seed.unit_line, seed.intent.channels[channel], partial(re.sub, word, new))
     units = [*seed.intent.units]
     units[channel] = new
     meant = replace(seed.intent, units=tuple(units))
@@ -157,19 +155,17 @@ WRONG_UNITS = {
 
 def _with_unit(seed: Seed, channel: int, new: str | None) -> list[str]:
     """The lines with another unit text in its place; ``None`` leaves none."""
-    lines = list(seed.lines)
-    line = seed.names if seed.units is None else seed.units
-    cells = split_cells(lines[line], seed.intent.delimiter)
-    k, old = seed.intent.channels[channel], seed.intent.units[channel]
-    if new is None:
-        bare = cells[k].strip('"')
-        new = "" if bare == old else bare.replace(f" ({old})", "").replace(f"({old})", "")
-        cells[k] = f'"{new}"' if bare != cells[k] else new
-    else:
-        bracketed = f"({old})" in cells[k]
-        cells[k] = cells[k].replace(f"({old})" if bracketed else old, f"({new})" if bracketed else new)
-    lines[line] = seed.intent.delimiter.join(cells)
-    return lines
+    old = seed.intent.units[channel]
+
+    def changed(cell: str) -> str:
+        if new is not None:
+            in_brackets = f"({old})" in cell
+            return cell.replace(f"({old})", f"({new})") if in_brackets else cell.replace(old, new)
+        bare = cell.strip('"')
+        left = "" if bare == old else bare.replace(f" ({old})", "").replace(f"({old})", "")
+        return f'"{left}"' if bare != cell else left
+
+    return seed.with_cell(seed.unit_line, seed.intent.channels[channel], changed)
 
 
 def unknown_unit(seed: Seed, rng: Random) -> Mutant:
@@ -196,13 +192,13 @@ def conflict(seed: Seed, rng: Random) -> Mutant | None:
     if seed.units is None:
         return None
     channel = rng.randrange(3)
-    other = {0: "min", 1: "um", 2: "lbf"}[channel]
-    lines = list(seed.lines)
-    cells = split_cells(lines[seed.names], seed.intent.delimiter)
-    k = seed.intent.channels[channel]
-    bare = cells[k].strip('"')
-    cells[k] = cells[k].replace(bare, f"{bare} ({other})")
-    lines[seed.names] = seed.intent.delimiter.join(cells)
+    other = ("min", "um", "lbf")[channel]
+
+    def changed(cell: str) -> str:
+        bare = cell.strip('"')
+        return cell.replace(bare, f"{bare} ({other})")
+
+    lines = seed.with_cell(seed.names, seed.intent.channels[channel], changed)
     return textual("two units", seed, lines, expect="doubt")
 
 

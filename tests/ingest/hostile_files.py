@@ -1,7 +1,5 @@
 """Files made to break a reader: bombs, junk, endless lines; and a child with limits that reads them."""
 
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -59,19 +57,13 @@ for path in sys.argv[2:]:
 """
 
 
-def read_in_child(
-    paths: Iterable[Path], *, memory_bytes: int, timeout_s: float, before: object = None
-) -> dict[str, Verdict]:
+def read_in_child(paths: Iterable[Path], *, memory_bytes: int, timeout_s: float) -> dict[str, Verdict]:
     """Read each path in one process that may have so much address space, and so much time for all."""
     names = [str(path) for path in paths]
+    command = [sys.executable, "-c", _CHILD, str(memory_bytes), *names]
+    own = {"PYTHONPATH": str(REPOSITORY), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     ended = subprocess.run(
-        [sys.executable, "-c", _CHILD, str(memory_bytes), *names],
-        capture_output=True,
-        text=True,
-        timeout=timeout_s,
-        check=False,
-        env=os.environ | {"PYTHONPATH": str(REPOSITORY), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-        preexec_fn=before,  # type: ignore[arg-type]
+        command, capture_output=True, text=True, timeout=timeout_s, check=False, env=os.environ | own
     )
     verdicts = {}
     for line in ended.stdout.splitlines():
@@ -111,7 +103,6 @@ def row(number: int, *values: float) -> str:
 
 
 def table_cells(rows: int = 30) -> str:
-    """A recording in a sheet."""
     names = "".join(
         f'<c r="{letter}1" t="str"><v>{name}</v></c>'
         for letter, name in zip("ABC", ("Time (s)", "Extension (mm)", "Load (N)"), strict=True)
@@ -197,9 +188,6 @@ def hostile_texts() -> dict[str, bytes]:
         "junk-after-head.csv": late + rng.randbytes(100_000),
         "nul-inside.csv": late[:3000] + bytes(64) + late[3000:],
         "nul-tail.csv": late + bytes(4096),
-        "nul-tail-late.csv": HEAD
-        + b"".join(b"%.2f,1.5,2.25\n" % (0.01 * i) for i in range(9000))
-        + bytes(4096),
         "junk-late.csv": HEAD + b"0.01,1.5,2.25\n" * 9000 + rng.randbytes(100_000),
         "wide-key.csv": b"Specimen " + b"a" * 60_000 + b",x\n" + late,
         "half-row.csv": late + b"40.00,20.0",

@@ -29,7 +29,6 @@ def written(path: Path, head: str, rows: str = ROWS) -> Path:
 
 
 def zipped(parts: Mapping[str, bytes | str]) -> bytes:
-    """An archive of these members."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in parts.items():

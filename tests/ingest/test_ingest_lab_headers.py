@@ -1,7 +1,5 @@
 """Clocks and units as laboratories write them: thinned rates, split seconds, counters, units of a header."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -14,51 +12,7 @@ from tissueid.signal_noise import bridged, dropouts
 from tissueid.trial import Trial
 
 NAMES = "Displacement (mm),Force (N)\n"
-ROWS = "".join(f"{0.02 * row:.2f},{0.5 * row:.1f}\n" for row in range(40))
 TIMED = "".join(f"{0.1 * row:.2f}\t{20.0 * row:.0f}\t{0.5 * row:.1f}\n" for row in range(40))
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "Decimation: 50",
-        "Oversampling: 50",
-        "Save every: 50 samples",
-        "Export: every 50th point",
-        "Data reduction factor: 50",
-        "Logging ratio: 1:50",
-        "Averaging: 50",
-        "Mittelung: 50 Werte",
-        "Decimated to: 20 Hz",
-        "Output rate: 20 Hz",
-        "Speicherrate: 20 Hz",
-        "Recording interval: 50 ms",
-    ],
-)
-def test_a_rate_of_samples_of_which_not_all_are_rows_is_no_clock(tmp_path: Path, line: str) -> None:
-    """1000 Hz a sample and 50 samples a row: nobody but the user knows which is the rate of the rows."""
-    error = refusal(put(tmp_path / "a.csv", f"Sampling rate: 1000 Hz\n{line}\n{NAMES}{ROWS}"))
-    assert error.code == "no_columns"
-    assert "time=100Hz" in error.message
-
-
-@pytest.mark.parametrize(
-    "line", ["Decimation: 1", "Average width: 12 mm", "Skip: no", "Recording rate: 100 Hz", "Filter: 10 Hz"]
-)
-def test_lines_that_thin_nothing_leave_the_rate(tmp_path: Path, line: str) -> None:
-    trial = read(put(tmp_path / "a.csv", f"Sampling rate: 100 Hz\n{line}\n{NAMES}{ROWS}"))
-    assert trial.time_s == pytest.approx(0.01 * np.arange(40))
-
-
-@pytest.mark.parametrize("line", ["Sample period (ms),10", "Scan Time = 0.01 sec", "DAQ rate: 100 pts/sec"])
-def test_further_names_of_a_rate_are_known(tmp_path: Path, line: str) -> None:
-    table = f"{NAMES}{ROWS}".replace(",", "\t")
-    trial = read(put(tmp_path / "a.txt", f"{line}\n{table}"))
-    assert trial.time_s == pytest.approx(0.01 * np.arange(40))
-
-
-def test_a_file_of_a_byte_order_mark_is_empty(tmp_path: Path) -> None:
-    assert refusal(put(tmp_path / "a.csv", b"\xef\xbb\xbf")).code == "empty_file"
 
 
 @pytest.mark.parametrize(
@@ -163,11 +117,11 @@ def test_exponents_of_fortran_are_read(tmp_path: Path, delimiter: str) -> None:
     assert (trial.displacement_mm[2], trial.force_N[2]) == pytest.approx((0.04, -1.0))
 
 
-@pytest.mark.parametrize("count", [1, 3000, 200_000])
-def test_a_file_that_its_logger_had_filled_ahead_is_read_and_said(tmp_path: Path, count: int) -> None:
-    table = f"Time (s),{NAMES}" + "".join(f"{0.1 * k:.1f},{0.02 * k:.2f},{0.5 * k:.1f}\n" for k in range(40))
-    trial = read(put(tmp_path / "a.csv", table.encode() + bytes(count)))
-    assert (trial.time_s.size, codes(trial)) == (40, ["cut_row"])
+@pytest.mark.parametrize(("rows", "zeros"), [(40, 1), (40, 3000), (40, 200_000), (9000, 4096)])
+def test_a_file_that_its_logger_had_filled_ahead_is_read_and_said(tmp_path, rows: int, zeros: int) -> None:
+    lines = "".join(f"{0.1 * k:.1f},{0.02 * k:.2f},{0.5 * k:.1f}\n" for k in range(rows))
+    trial = read(put(tmp_path / "a.csv", f"Time (s),{NAMES}{lines}".encode() + bytes(zeros)))
+    assert (trial.time_s.size, codes(trial)) == (rows, ["cut_row"])
 
 
 @pytest.mark.parametrize(
@@ -242,12 +196,6 @@ def test_counts_of_a_sensor_are_no_newtons(tmp_path: Path, line: str) -> None:
     assert read(divided).force_N[2] == 1.0
 
 
-def test_a_unit_of_the_header_that_contradicts_the_name_is_refused(tmp_path: Path) -> None:
-    error = refusal(put(tmp_path / "a.txt", f"Force unit: gf\nTime (s)\tDisp (um)\tForce (N)\n{TIMED}"))
-    assert error.code == "unit_conflict"
-    assert "--units force=gf" in error.message
-
-
 @pytest.mark.parametrize("sign", ['"', "''", "″"])
 def test_signs_of_the_inch_are_its_unit(tmp_path: Path, sign: str) -> None:
     rows = "".join(f"{0.1 * row:.2f}\t{0.02 * row:.2f}\t{0.5 * row:.1f}\n" for row in range(40))
@@ -255,10 +203,17 @@ def test_signs_of_the_inch_are_its_unit(tmp_path: Path, sign: str) -> None:
     assert trial.displacement_mm[1] == pytest.approx(0.02 * 25.4)
 
 
-@pytest.mark.parametrize("sign", ["#", "?"])
-def test_a_sign_that_is_no_unit_is_not_taken_for_none(tmp_path: Path, sign: str) -> None:
-    error = refusal(put(tmp_path / "a.txt", f"Time (s)\tPosition (mm)\tLoad ({sign})\n{TIMED}"))
-    assert error.code == "unknown_unit"
+@pytest.mark.parametrize(
+    ("head", "code", "said"),
+    [
+        ("Force unit: gf\nTime (s)\tDisp (um)\tForce (N)", "unit_conflict", "--units force=gf"),
+        *((f"Time (s)\tPosition (mm)\tLoad ({sign})", "unknown_unit", "--units") for sign in "#?"),
+    ],
+)
+def test_a_unit_that_contradicts_the_header_or_is_a_mere_sign_is_refused(tmp_path, head, code, said) -> None:
+    error = refusal(put(tmp_path / "a.txt", f"{head}\n{TIMED}"))
+    assert error.code == code
+    assert said in error.message
 
 
 def lossy(lost: slice, level_N: float = 0.0) -> Trial:

@@ -174,7 +174,6 @@ def five(head: str) -> str:
 
 
 def timed(times: Iterable[object], travel: float = 0.05) -> str:
-    """Rows with these times."""
     return "".join(f"{t},{k * travel:g},{1 + k * 0.25:.3f}\n" for k, t in enumerate(times))
 
 

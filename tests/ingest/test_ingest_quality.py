@@ -29,8 +29,6 @@ FINE_S = 0.0005
 
 @dataclass
 class Recording:
-    """What a file would hold."""
-
     time_s: FloatArray
     displacement_mm: FloatArray
     force_N: FloatArray

@@ -1,7 +1,5 @@
 """Tables by spaces, clock times, coarse clocks, held readings, and a rate where no column is a time."""
 
-from __future__ import annotations
-
 import datetime as dt
 from pathlib import Path
 
@@ -333,7 +331,6 @@ def test_rows_of_one_tick_are_spread_and_divided_as_if_the_clock_were_fine(tmp_p
     found = segment(trial)
     assert [phase.kind for phase in found.phases] == ["approach", "ramp", "hold"]
     assert found.phases[2].start_s == pytest.approx(6.0, abs=1.5 * tick_s)
-    assert found.contact is not None
     assert found.contact.displacement_mm == pytest.approx(1.0, abs=0.06)
 
 
@@ -365,7 +362,6 @@ def test_rows_that_repeat_a_reading_are_left_out(tmp_path: Path, held: str, rate
     # a reading is a row old at the most, at 5 mm/s and 3 N/mm; noise of 0.01 N
     assert np.abs(trial.force_N - 3.0 * np.maximum(trial.displacement_mm, 0.0)).max() < 0.04 + 15.0 / rate_hz
     contact = segment(trial).contact
-    assert contact is not None
     assert abs(contact.displacement_mm) < 5.0 / rate_hz + 3.0 * contact.sd_mm
 
 
@@ -430,18 +426,25 @@ LABVIEW = (
 )
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "Sampling rate: 100 Hz", "# Sample Rate (Hz): 100", "Sampling frequency,0.1,kHz",
-        "Data Acquisition Rate,100 samples/s", "sample_rate,100", "Fs = 100", "dt,0.01",
-        "Sampling interval,10 ms", "Abtastrate,100 Hz", "Abtastintervall,0.01 s",
-        "Fréquence d'échantillonnage,100 Hz", "Frecuencia de muestreo (Hz),100",
-        "Sampling rate,100 Hz\nSampling interval,0.01 s",
-    ],
+#: Lines that state 100 Hz, with others that thin nothing, above a table by commas or by tabs.
+RATES = (
+    "Sampling rate: 100 Hz", "# Sample Rate (Hz): 100", "Sampling frequency,0.1,kHz",
+    "Data Acquisition Rate,100 samples/s", "sample_rate,100", "Fs = 100", "dt,0.01",
+    "Sampling interval,10 ms", "Abtastrate,100 Hz", "Abtastintervall,0.01 s",
+    "Fréquence d'échantillonnage,100 Hz", "Frecuencia de muestreo (Hz),100",
+    "Sampling rate,100 Hz\nSampling interval,0.01 s", "Sampling rate: 100 Hz\nDecimation: 1",
+    "Sampling rate: 100 Hz\nAverage width: 12 mm", "Sampling rate: 100 Hz\nSkip: no",
+    "Sampling rate: 100 Hz\nRecording rate: 100 Hz", "Sampling rate: 100 Hz\nFilter: 10 Hz",
 )  # fmt: skip
-def test_the_rate_of_the_header_is_the_clock(tmp_path: Path, line: str) -> None:
-    trial = read(put(tmp_path / "a.csv", f"{line}\n{NAMES}{ROWS}"))
+ABOVE_TABS = ("Sample period (ms),10", "Scan Time = 0.01 sec", "DAQ rate: 100 pts/sec")
+
+
+@pytest.mark.parametrize(
+    ("line", "delimiter"), [*((line, ",") for line in RATES), *((line, "\t") for line in ABOVE_TABS)]
+)
+def test_the_rate_of_the_header_is_the_clock(tmp_path: Path, line: str, delimiter: str) -> None:
+    table = f"{NAMES}{ROWS}".replace(",", delimiter)
+    trial = read(put(tmp_path / "a.csv", f"{line}\n{table}"))
     assert trial.time_s == pytest.approx(0.01 * np.arange(40))
     assert trial.force_N[-1] == 19.5
     assert "time_counted" in codes(trial)
@@ -452,6 +455,16 @@ def test_the_rate_of_the_header_is_the_clock(tmp_path: Path, line: str) -> None:
     [
         "Sample height,10 mm", "Sample,100", "Samples,40", "Test rate,100 mm/min", "Sampling time,12 s",
         "Sampling rate,100 Hz\nSampling interval,0.02 s", "Sampling rate,0 Hz", "Sampling rate,fast",
+        # 1000 Hz a sample and 50 samples a row: nobody but the user knows which is the rate of the rows
+        *(
+            f"Sampling rate: 1000 Hz\n{thinned}"
+            for thinned in (
+                "Decimation: 50", "Oversampling: 50", "Save every: 50 samples", "Export: every 50th point",
+                "Data reduction factor: 50", "Logging ratio: 1:50", "Averaging: 50", "Mittelung: 50 Werte",
+                "Decimated to: 20 Hz", "Output rate: 20 Hz", "Speicherrate: 20 Hz",
+                "Recording interval: 50 ms",
+            )
+        ),
     ],
 )  # fmt: skip
 def test_no_other_line_is_taken_for_a_rate_and_the_way_out_is_named(tmp_path: Path, line: str) -> None:
