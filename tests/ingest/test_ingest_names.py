@@ -14,11 +14,9 @@ import pint
 import pytest
 from ingest_files import ROWS, codes, put, read, refusal, workbook, written
 
-from tissueid.collection import TrialCache, collect
 from tissueid.ingest import ReadOptions, read_each, read_trials
 from tissueid.ingest.reading import no_specimen
 from tissueid.ingest.vocabulary import split_name
-from tissueid.segment import SegmentOptions
 from tissueid.units import INTERNAL_UNITS, KNOWN_UNITS, KNOWN_WORDS, REPEATS, factor_to, quantity_of
 
 
@@ -376,21 +374,6 @@ def test_names_of_no_specimens_in_the_exporters_language(sheet: str | None, kind
     # files are named so too, but not by words of anything
     assert no_specimen("lab/Mean.csv", sheet) is not None
     assert no_specimen("lab/media.csv", None) is None
-
-
-def test_a_mean_sheet_is_read_and_left_out_of_the_fit_unless_listed(shared_data: Path) -> None:
-    book = shared_data / "zwick-meat-gpl3" / "230407_C_Indentation_relaxation_500N_force.xlsx"
-    if not book.exists():
-        pytest.skip(f"no {book}")
-    trials = [
-        trial for trial in read_trials(book) if trial.source.sheet in {"Eprouvette moyenne", "230407_FF1A"}
-    ]
-    mean = next(trial for trial in trials if trial.source.sheet == "Eprouvette moyenne")
-    assert "not_a_specimen" in codes(mean)
-    found = collect(trials, SegmentOptions(), TrialCache(None), lambda *_: None)
-    assert [one.sheet for one in found.excluded] == ["Eprouvette moyenne"]
-    assert found.excluded[0].no_specimen
-    assert sum(len(logs) for logs in found.groups.values()) == 1
 
 
 REGISTRY = pint.UnitRegistry()

@@ -152,20 +152,6 @@ def test_a_labview_measurement_is_read_with_its_names(tmp_path: Path) -> None:
     np.testing.assert_array_equal(packed.force_N, trial.force_N)
 
 
-def test_a_labview_measurement_repeats_its_head_for_every_segment(tmp_path: Path) -> None:
-    segment = (
-        "Channels\t2\t\nSamples\t100\t100\nX0\t{0:.1f}\t{0:.1f}\nDelta_X\t0.01\t0.01\n"
-        "***End_of_Header***\t\nX_Value\tDisplacement (mm)\tForce (N)\tComment\n"
-    )
-    rows = table(lambda t, x, f: f"{t:.6f}\t{x:.6f}\t{f:.6f}\n", "").splitlines(keepends=True)
-    parts = [segment.format(k / 100) + "".join(rows[k : k + 100]) + "\n" for k in range(0, len(rows), 100)]
-    trial = read_text(
-        tmp_path / "a.lvm", "LabVIEW Measurement\t\n***End_of_Header***\t\n\t\n" + "".join(parts)
-    )
-    assert trial.time_s == pytest.approx(TIME, abs=1e-9)
-    assert trial.force_N == pytest.approx(FORCE, abs=1e-5)
-
-
 def test_a_remark_amid_columns_by_spaces_is_left_out(tmp_path: Path) -> None:
     rows = table(lambda t, x, f: f"{t:.2f} {x:.4f} {f:.4f}\n", "").splitlines(keepends=True)
     rows.insert(200, '# segment: 1 of "two" 2\n')
@@ -286,10 +272,8 @@ def test_a_time_named_by_its_unit_has_it(tmp_path: Path, name: str, per_s: float
 
 
 @pytest.mark.parametrize(("first", "mark"), [(5, "."), (5, ","), (0, "."), (0, ",")])
-def test_numbers_that_a_sheet_stores_as_text_are_read_where_all_are(
-    tmp_path: Path, first: int, mark: str
-) -> None:
-    """Where some are numbers, the spreadsheet took them for such, and may have lost their marks."""
+def test_numbers_that_a_sheet_stores_as_text_are_read_where_all_are(tmp_path, first, mark) -> None:
+    """A spreadsheet that took some for numbers may have lost their marks."""
     rows: list[list[object]] = [["Time (s)", "Extension (mm)", "Load (N)"]]
     for k, one in enumerate(zip(TIME.tolist(), DEPTH.tolist(), FORCE.tolist(), strict=True)):
         as_text = k == first or first == 0
