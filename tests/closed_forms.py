@@ -17,7 +17,7 @@ def ramp_hold_state(time_s: FloatArray, *, speed_mm_s: float, depth_mm: float, t
 
 
 def branch_state(time_s: FloatArray, driven: FloatArray, tau_s: float) -> FloatArray:
-    """What is left of a driven state that decays with ``tau_s``, exact where it is driven evenly."""
+    """The rest of a driven state that decays with ``tau_s``, exact where it is driven evenly."""
     state, kept = np.zeros(time_s.size), np.exp(-np.diff(time_s) / tau_s)
     for i, (share, rate) in enumerate(zip(kept, np.diff(driven) / np.diff(time_s), strict=True)):
         state[i + 1] = share * state[i] + tau_s * (1.0 - share) * rate

@@ -16,29 +16,24 @@ from tissueid.store.outputs import OutputSet
 OWN = np.array([0.01, 0.01, 0.01, 0.03, 0.03])
 
 
-def cohort_fits(count: int, *, between: float = 0.12, seed: int = 0) -> tuple[SpecimenFit, ...]:
+def cohort_fits(count: int) -> tuple[SpecimenFit, ...]:
     """Fits whose posteriors scatter around specimens that differ by a factor in force and in stiffness."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     model = kelvin_voigt(1, 0, 6.0)
     fits = []
     for i in range(count):
-        force, stiffness = np.exp(between * rng.standard_normal(2))
+        force, stiffness = np.exp(0.12 * rng.standard_normal(2))
         scale = np.array([force, force, force, stiffness, 1.0])
         draws = THETA * scale * np.exp(OWN * rng.standard_normal((600, 5)))
         assert all(model.is_passive(one) for one in draws)
-        fit = sampled(specimen_fit(f"head {i + 1}", samples=60, seed=seed + 3 * i), seed=i)
-        posterior = fit.posterior
+        fit = sampled(specimen_fit(f"head {i + 1}", samples=60, seed=3 * i), seed=i)
         gains = np.exp(0.03 * rng.standard_normal(len(fit.trials)))
-        fits.append(
-            replace(
-                fit,
-                posterior=replace(posterior, draws=draws, draws_total=draws, log_prior=np.zeros(len(draws))),
-                trials=tuple(
-                    replace(trial, gain=float(gain), speed_mm_s=2.0)
-                    for trial, gain in zip(fit.trials, gains, strict=True)
-                ),
-            )
+        trials = tuple(
+            replace(trial, gain=float(gain), speed_mm_s=2.0)
+            for trial, gain in zip(fit.trials, gains, strict=True)
         )
+        own = replace(fit.posterior, draws=draws, draws_total=draws, log_prior=np.zeros(len(draws)))
+        fits.append(replace(fit, posterior=own, trials=trials))
     return tuple(fits)
 
 
@@ -55,7 +50,6 @@ def cohort_folder(folder: Path, count: int, *, study: bool = True) -> Path:
 
 
 def study_of(fits: tuple[SpecimenFit, ...]) -> dict[str, object]:
-    """What a study says of these specimens."""
     row = dict.fromkeys(StatedSpecimen.__struct_fields__)
     trial = dict.fromkeys(("site", "protocol", "rest_s", "because", "notes"))
     return {

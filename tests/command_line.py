@@ -31,8 +31,6 @@ STUDY_HEAD = 'schema = "tissueid/study/1"'
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended."""
-
     code: int
     stdout: str
     stderr: str
@@ -65,8 +63,6 @@ def run(*args: Any, code: int | Collection[int] = (), said: Words = (), shown: W
 
 
 class Terminal(io.TextIOWrapper):
-    """A stream that says it is a terminal."""
-
     def isatty(self) -> bool:
         return True
 
@@ -87,25 +83,15 @@ def start(*args: str | Path, **options: Any) -> subprocess.Popen[str]:
     """
     if sys.platform != "win32":
         options.setdefault("preexec_fn", lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
-    return subprocess.Popen(
-        [sys.executable, "-m", "tissueid", *map(str, args)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONPATH": PACKAGES},
-        **options,
-    )
+    options |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    words = [sys.executable, "-m", "tissueid", *map(str, args)]
+    return subprocess.Popen(words, env=os.environ | {"PYTHONPATH": PACKAGES}, **options)
 
 
 def python(*args: str | Path, check: bool = True, **environment: str) -> subprocess.CompletedProcess[str]:
     """An interpreter of its own that finds this package."""
-    return subprocess.run(
-        [sys.executable, "-P", *map(str, args)],
-        env=os.environ | {"PYTHONPATH": PACKAGES} | environment,
-        capture_output=True,
-        text=True,
-        check=check,
-    )
+    words, known = [sys.executable, "-P", *map(str, args)], {"PYTHONPATH": PACKAGES} | environment
+    return subprocess.run(words, env=os.environ | known, capture_output=True, text=True, check=check)
 
 
 def log_text(
@@ -144,7 +130,6 @@ def write_workbook(path: Path, *sheets: str, stride: int = 4) -> Path:
 
 
 def write_study(folder: Path, *tables: str) -> Path:
-    """study.toml of a folder, with some tables."""
     path = folder / "study.toml"
     path.write_text("\n".join([STUDY_HEAD, *tables, ""]), encoding="utf-8")
     return path

@@ -51,7 +51,7 @@ def ramp_hold_curve(speed: float, depth: float, *, hold_s: float, samples: int, 
 
 
 def residual_of(curve: Curve, *, start_s: float, ramp_s: float) -> ResidualSummary:
-    """What a fit would keep of this curve's residual: bins of 0.1 N, lags 1, 2, 5, two blocks of the hold."""
+    """Summary of a curve's residual as fits keep it: bins of 0.1 N, lags 1, 2, 5, two blocks of the hold."""
     fitted = curve.fitted
     residual = (curve.force_N - curve.model_N)[fitted]
     edges = np.linspace(-1.5, 1.5, 31)
@@ -93,15 +93,7 @@ def trial_fit(path: str, curve: Curve, *, sheet: str | None = None, speed: float
     )
 
 
-def specimen_fit(
-    specimen: str = "kidney 3",
-    *,
-    trials: int = 3,
-    samples: int = 800,
-    identified: bool = True,
-    sheet: str | None = None,
-    seed: int = 0,
-) -> SpecimenFit:
+def specimen_fit(specimen="kidney 3", *, trials=3, samples=800, identified=True, sheet=None, seed=0):
     """A fit whose numbers are the truth above."""
     speeds = [0.5, 2.0, 4.0]
     fits = []
@@ -160,7 +152,6 @@ def specimen_fit(
 
 
 def identification(fits: Sequence[SpecimenFit], *, refused: bool = False) -> Identification:
-    """A run of these fits."""
     inputs = [
         {
             "path": trial.path,

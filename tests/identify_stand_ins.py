@@ -32,12 +32,8 @@ Draws = Callable[[ChannelModel, Priors, Sequence[Trial], np.random.Generator], n
 def stand_in(draws_of: Draws) -> Callable[..., Identification]:
     """An ``identify`` whose draws of theta are those of a function."""
 
-    def identify(
-        trials: Sequence[Trial], *, study: Study, options: IdentifyOptions, **_: Any
-    ) -> Identification:
+    def identify(trials, *, study: Study, options: IdentifyOptions, **_) -> Identification:
         depth = max(float(trial.displacement_mm.max()) for trial in trials)
-        assert options.fit.branches is not None
-        assert options.fit.stiffness_degree is not None
         model = kelvin_voigt(options.fit.branches, options.fit.stiffness_degree, depth)
         rng = np.random.default_rng(options.seed)
         theta = draws_of(model, study.priors, trials, rng)
@@ -75,27 +71,20 @@ def known(values: np.ndarray) -> ParameterUncertainty:
     )
 
 
-def prior_draws(
-    model: ChannelModel, priors: Priors, trials: Sequence[Trial], rng: np.random.Generator
-) -> np.ndarray:
+def prior_draws(model, priors, trials, rng) -> np.ndarray:
     """The prior itself, whatever was recorded: calibrated by construction."""
     return np.array([drawn_tissue(model, priors, rng) for _ in range(DRAWS)])
 
 
-def sure_draws(
-    model: ChannelModel, priors: Priors, trials: Sequence[Trial], rng: np.random.Generator
-) -> np.ndarray:
+def sure_draws(model, priors, trials, rng) -> np.ndarray:
     """Sure of the middle of the priors, whatever was recorded."""
     times = {"relaxation_time_s": priors.relaxation_time_s[0].median}
     middle = [times.get(name) or priors.linear[name][0] for name in model.parameter_names]
     return np.array(middle) * (1.0 + 1e-3 * rng.standard_normal((DRAWS, len(middle))))
 
 
-def conjugate_draws(
-    model: ChannelModel, priors: Priors, trials: Sequence[Trial], rng: np.random.Generator
-) -> np.ndarray:
+def conjugate_draws(model, priors, trials, rng) -> np.ndarray:
     """The exact posterior of F_s and K, normal where times, noise, gains and contact points are known."""
-    assert priors.sigma_N is not None
     taus = [time.median for time in priors.relaxation_time_s]
     sigma = priors.sigma_N.median
     at = [k for k, name in enumerate(model.parameter_names) if name in priors.linear]

@@ -49,7 +49,6 @@ def typical(model: ChannelModel) -> np.ndarray:
 
 
 def law_of(name: str) -> ChannelModel:
-    """The contact model of a name."""
     return parsed(name).model(DEPTH_MM, *RANGE_S)
 
 

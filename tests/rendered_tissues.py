@@ -13,23 +13,13 @@ from tissueid.rendering.tissue_block import Tissue
 from tissueid.store.bundle import Bundle, bundle_from_fit, write_bundle
 
 DEPTH_MM = 8.0
-PAPER_A = Tissue(
-    kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM),
-    np.array([47.42, -5.577, 0.3804, 63.62, 0.021]),
-    (10.0 / 60.0, 500.0 / 60.0),
-    tip_radius_mm=2.0,
-    name="paper-a",
-)
-_TWO = kelvin_voigt(branches=2, stiffness_degree=2, depth_mm=DEPTH_MM)
-TWO_BRANCHES = Tissue(
-    _TWO,
-    _TWO.join(
-        np.array([12.0, -1.5, 0.35]), np.array([[20.0, 3.0, 0.4], [9.0, -0.8, 0.05]]), np.array([0.021, 0.4])
-    ),
-    (10.0 / 60.0, 500.0 / 60.0),
-    tip_radius_mm=2.0,
-    name="two branches",
-)
+SPEEDS_MM_S = (10.0 / 60.0, 500.0 / 60.0)
+_ONE, _TWO = (kelvin_voigt(branches=k, stiffness_degree=2 * k - 2, depth_mm=DEPTH_MM) for k in (1, 2))
+_THETA = np.array([47.42, -5.577, 0.3804, 63.62, 0.021])
+PAPER_A = Tissue(_ONE, _THETA, SPEEDS_MM_S, tip_radius_mm=2.0, name="paper-a")
+_STATIC, _STIFFNESS = np.array([12.0, -1.5, 0.35]), np.array([[20.0, 3.0, 0.4], [9.0, -0.8, 0.05]])
+_THETA = _TWO.join(_STATIC, _STIFFNESS, np.array([0.021, 0.4]))
+TWO_BRANCHES = Tissue(_TWO, _THETA, SPEEDS_MM_S, tip_radius_mm=2.0, name="two branches")
 
 
 def walk(block: np.ndarray, positions_m: np.ndarray, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -55,7 +45,6 @@ def pressed(depth_mm: np.ndarray, *, motion: float, top_m: float = 0.130) -> np.
 
 
 def bundle_of(tissue: Tissue, *, draws: np.ndarray | None = None, **changes: Any) -> Bundle:
-    """A bundle that holds a tissue."""
     base = bundle_from_fit(specimen_fit(), provenance=identification([specimen_fit()]).provenance)
     model = tissue.model
     held = replace(

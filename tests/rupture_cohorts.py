@@ -26,7 +26,7 @@ TAU_S = PROTOCOL.branches[0].tau_s
 
 
 def typical_threshold(criterion: str) -> float:
-    """What the typical tissue reaches at TYPICAL_MM and the middle speed, found by bisection."""
+    """The measure that the typical tissue reaches at TYPICAL_MM and the middle speed, found by bisection."""
     low, high = 1e-3, 1e5
     for _ in range(60):
         middle = (low * high) ** 0.5
@@ -41,15 +41,7 @@ def _factor(cv: float, rng: np.random.Generator) -> float:
     return float(np.exp(np.log1p(cv * cv) ** 0.5 * rng.standard_normal()))
 
 
-def known_cohort(
-    criterion: str,
-    cv: float,
-    seed: list[int],
-    *,
-    threshold: float,
-    speeds: tuple[float, ...] = SPEEDS_MM_MIN,
-    stop_mm: float = DEEPEST_MM,
-) -> list[Failure]:
+def known_cohort(criterion, cv, seed, *, threshold, speeds=SPEEDS_MM_MIN, stop_mm=DEEPEST_MM):
     """Failures of a cohort whose laws are known and whose ends were measured without error."""
     rng = np.random.default_rng(seed)
     model = kelvin_voigt(1, 0, DEEPEST_MM)
@@ -88,10 +80,6 @@ def known_cohort(
 
 def recorded_cohort(criterion: str, cv: float, seed: list[int], *, threshold: float) -> list[Trial]:
     """Recordings of such a cohort, with contact to be found, noise and samples."""
-    plan = replace(
-        PROTOCOL,
-        rate_Hz=500.0,
-        cv_specimen=SPECIMEN_CV,
-        rupture=Rupture(criterion, threshold, cv=cv, cv_specimen=SPECIMEN_CV),
-    )
+    rupture = Rupture(criterion, threshold, cv=cv, cv_specimen=SPECIMEN_CV)
+    plan = replace(PROTOCOL, rate_Hz=500.0, cv_specimen=SPECIMEN_CV, rupture=rupture)
     return as_trials(simulate(plan, rng=np.random.default_rng(seed)))

@@ -36,11 +36,11 @@ def head_of(**changes: Any) -> dict[str, Any]:
     return {**head, **changes}
 
 
-def records_of(depth_mm: np.ndarray, *, label: int = 0) -> np.ndarray:
+def records_of(depth_mm: np.ndarray) -> np.ndarray:
     """Records of an engaged session in which the depth was as given, 1 kHz."""
     times = PERIOD_S * np.arange(len(depth_mm))
     positions = pressed(depth_mm, motion=MOTION_SCALE)
-    block = tissue_block(PAPER_A, Plane(), force_scale=FORCE_SCALE, motion_scale=MOTION_SCALE, label=label)
+    block = tissue_block(PAPER_A, Plane(), force_scale=FORCE_SCALE, motion_scale=MOTION_SCALE)
     forces, infos = walk(block, positions, times)
     records = np.zeros(len(depth_mm), RECORD)
     records["tick"] = np.arange(len(depth_mm))
@@ -51,7 +51,6 @@ def records_of(depth_mm: np.ndarray, *, label: int = 0) -> np.ndarray:
     records["depth_mm"] = infos[:, env.INFO_DEPTH_MM]
     records["tissue_force_N"] = infos[:, env.INFO_TISSUE_FORCE_N]
     records["state"] = State.ENGAGED
-    records["label"] = label
     return records
 
 

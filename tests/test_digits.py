@@ -27,9 +27,7 @@ PACKAGE = Path(tissueid.__file__).parent
         ([0.0, 0.0, 1.322e-9], 5e-7, ["0", "0", "1.322×10⁻⁹"]),
     ],
 )
-def test_a_value_and_its_interval_end_at_the_place_that_the_interval_supports(
-    values: list[float], sd: float | None, expected: list[str]
-) -> None:
+def test_a_value_and_its_interval_end_at_the_place_that_the_interval_supports(values, sd, expected) -> None:
     assert together(values, sd) == expected
 
 

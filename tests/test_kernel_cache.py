@@ -51,7 +51,7 @@ def test_the_key_follows_sources_and_flags(tmp_path: Path, monkeypatch: pytest.M
 
 
 def answer(root: Path) -> float:
-    """What the compiled caller says, from a process of its own."""
+    """The answer of the compiled caller, from a process of its own."""
     environment = {**os.environ, "PYTHONPATH": str(root), "NUMBA_CACHE_DIR": str(root / "cache")}
     done = subprocess.run(  # our own interpreter and code
         [sys.executable, "-c", ASK], env=environment, capture_output=True, text=True, check=True, cwd=root

@@ -1,4 +1,4 @@
-"""What goes wrong at a bench: each situation ends in the right reading, or in one sentence with a way out.
+"""Mishaps at a bench: each situation ends in the right reading, or in one sentence with a way out.
 
 A row is a situation: the files of a folder, what is typed there, the exit code, and words that
 stdout and stderr must hold between them.  A further one is a row more.
@@ -24,8 +24,6 @@ MOST_LINES = 3
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """One thing that goes wrong."""
-
     files: Mapping[str, str | bytes]  # what the folder holds: contents by path
     typed: tuple[str, ...]  # arguments; run in that folder
     code: int

@@ -1,4 +1,4 @@
-"""What is said of real recordings, held against hand-made labels and against the physics."""
+"""Words on real recordings, held against hand-made labels and against the physics."""
 
 import contextlib
 import importlib.util
@@ -21,7 +21,7 @@ KINDS = ("right", "near", "wrong", "absent")
 
 
 def inspected(path: Path) -> str:
-    """What the command prints of one file; a refusal is a document as well."""
+    """The document that the command prints of one file; a refusal is a document as well."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
         main(["inspect", str(path), "--json"])
@@ -80,7 +80,7 @@ TIMES = ("1", "10")
 
 
 def described(path: Path) -> dict[str, dict[str, Any]]:
-    """What is said of every recording of a file, by its sheet."""
+    """Documents of every recording of a file, by its sheet."""
     options = MUSCLE if "muscle" in path.parent.name else ReadOptions()
     found = {}
     for trial in read_each(path, options):
@@ -101,7 +101,7 @@ def held(document: dict[str, Any] | None, label: dict[str, Any]) -> dict[str, An
 
 
 def agrees(hold: dict[str, Any] | None, label: dict[str, Any]) -> bool:
-    """Whether 1 - F/F_peak at 1 s and 10 s after the peak is within the labels' tolerance."""
+    """True where 1 - F/F_peak at 1 s and 10 s after the peak is within the labels' tolerance."""
     wanted = label.get("relaxed_minus_base") or label["relaxed"]
     if hold is None or hold["push"] is None:
         return False

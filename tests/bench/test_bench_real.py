@@ -149,7 +149,7 @@ def test_a_left_out_log_takes_its_curve_from_its_ramp_and_its_relaxation_from_ot
 
 
 def test_every_benchmark_is_loaded():
-    """What the package no longer has, none of them asks for."""
+    """None of them asks for anything that the package no longer has."""
     modules = sorted(file.stem for file in BENCHMARKS.glob("*.py"))
     assert len(modules) > 20
     command = [sys.executable, "-c", f"import {', '.join(modules)}"]

@@ -1,4 +1,4 @@
-"""What ``--json`` prints is what the schemas say; every exit code, end to end, and which one wins."""
+"""``--json`` prints documents that the schemas describe; every exit code, end to end, and which one wins."""
 
 import csv
 import errno

@@ -285,7 +285,7 @@ class Command:
 
     @property
     def not_run(self) -> str | None:
-        """Why it is not run, if it is not."""
+        """The reason for not running it, if it is not run."""
         plain = " ".join(self.words)
         return next((why for why, pattern in NOT_RUN.items() if re.search(pattern, plain)), None)
 
@@ -400,7 +400,7 @@ def place(fitted, tmp_path, monkeypatch):
 
 
 def made_ready(page: str, place: Path) -> None:
-    """What a page's own first commands make is not there yet; what its reader is told to write is."""
+    """Take away all that a page's own first commands make; write what its reader is told to write."""
     if page in {"study.md", "tutorial.md"}:
         (place / "lab_data" / "study.toml").unlink()
         shutil.rmtree(place / "out")
@@ -416,7 +416,6 @@ def made_ready(page: str, place: Path) -> None:
 
 
 def typed(command: Command) -> None:
-    """Run one command as its line says."""
     words = [
         match
         for word in command.words

@@ -44,8 +44,7 @@ POSTERIOR_ENDS = ("_mean", "_sd", "_ci95_low", "_ci95_high", "_ci95_total_low", 
 
 
 def document(fits: tuple[SpecimenFit, ...] = FITS) -> dict[str, Any]:
-    found: dict[str, Any] = plain(identification(fits, refused=True).as_json())
-    return found
+    return plain(identification(fits, refused=True).as_json())
 
 
 def written(folder: Path, *fits: SpecimenFit, refused: bool = False) -> Path:
@@ -168,8 +167,6 @@ def test_a_posterior_fills_mean_sd_and_the_ends_of_both_intervals():
     fits = tuple(sampled(fit) for fit in FITS)
     first, second, _ = table("specimens", document(fits))
     known = fits[0].parameter("viscosity_N_s_per_mm").uncertainty
-    assert known is not None
-    assert known.ci95_total is not None
     name = "viscosity_N_s_per_mm"
     expected = [known.mean, known.sd, *known.ci95, *known.ci95_total]
     assert [float(first[f"{name}{end}"]) for end in POSTERIOR_ENDS] == expected
@@ -370,7 +367,6 @@ def test_arviz_reads_the_draws_of_each_specimen(arviz, tmp_path):
         found = arviz.from_netcdf(str(tmp_path / name))
         assert found["posterior"].attrs["specimen"] == fit.specimen
         stored = fit.posterior
-        assert stored is not None
         first = stored.theta_names[0]
         assert np.array_equal(np.asarray(found["posterior"][first]).ravel(), stored.draws[:, 0])
         walkers = np.asarray(found["unconstrained_posterior"][stored.chain_names[1]])

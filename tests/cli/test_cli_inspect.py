@@ -211,7 +211,6 @@ def test_the_served_page_is_told_and_ends_by_ctrl_c(tmp_path):
     shutil.copy(LOG, tmp_path / "one.csv")
     serving = start("inspect", tmp_path / "one.csv", "--serve", "--no-browser")
     try:
-        assert serving.stderr is not None
         url = serving.stderr.readline().split()[-1]
         assert f"corrections go into {tmp_path / 'study.toml'}" in serving.stderr.readline()
         with urllib.request.urlopen(url, timeout=60) as answer:
@@ -230,10 +229,7 @@ def test_the_served_page_is_told_and_ends_by_ctrl_c(tmp_path):
 ONCE = ("--once", "--interval", "0.05")
 
 
-def ramp_hold(
-    name: str = "a.csv", *, rate_Hz: float = 100.0, tau_s: float = 0.5, hold_s: float = 10.0,
-    gain: float = 1.0, specimen: str = "kidney", speed: float = 2.0,
-) -> Trial:  # fmt: skip
+def ramp_hold(name="a.csv", *, rate_Hz=100.0, tau_s=0.5, hold_s=10.0, gain=1.0, specimen="kidney", speed=2.0):
     """1 mm of air, 4 mm of ramp, a hold; force 10 x plus a branch of 20 N/mm that relaxes in tau."""
     time_s = np.arange(0.0, 5.0 / speed + hold_s, 1.0 / rate_Hz)
     x = np.minimum(speed * time_s, 5.0)
@@ -445,7 +441,6 @@ def test_a_quick_fit_finds_the_parameters_of_the_truth_behind_the_frame_that_the
         study = Study("study.toml", calibration=Calibration(frame=linear_frame(frame_N_per_mm)))
         trial = replace(trial, displacement_mm=trial.displacement_mm + trial.force_N / frame_N_per_mm)
     found = quick_fit(trial, None, study)
-    assert found is not None
     viscosity = {one.name: one.value for one in found.parameters}["viscosity_N_s_per_mm"]
     # of a machine of which little was stated, whose filter may be anything
     assert viscosity == pytest.approx(20.0 * 0.5, rel=0.01)

@@ -73,7 +73,6 @@ def test_a_specimen_of_the_population_is_rendered(cohort):
     script = ("--script", "indent 1 mm at 500 mm/min; retract at 500 mm/min", "--json")
     felt = run("render", cohort[0] / "population.h5", *DRAWN, "7", *script, code=0)
     draws = load_bundle(cohort[0] / "population.h5").draws
-    assert draws is not None
     assert f"of {len(draws)} drawn from the population of 5 specimens" in felt.stderr + felt.stdout
 
 
@@ -333,7 +332,6 @@ def test_it_prints_rupture_json_and_it_is_valid(done):
     assert document["left_out"] == []
     for row in document["laws"]:
         law = load_bundle(out / row["bundle"]).rupture
-        assert law is not None
         assert law.as_json() == row["law"]
         assert law.threshold == work["specimens"][row["specimen"]]
         assert (law.sd_ln, law.specimen_sd_ln) == (work["sd_ln"], work["specimen_sd_ln"])

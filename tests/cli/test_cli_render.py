@@ -53,8 +53,7 @@ def log(bundle, tmp_path_factory):
 
 def identified(path: Path, out: Path) -> dict[str, Any]:
     run("fit", path, "-o", out, *QUICK, code=0)
-    specimen: dict[str, Any] = read_json(out / "identification.json")["specimens"][0]
-    return specimen
+    return read_json(out / "identification.json")["specimens"][0]
 
 
 def test_the_log_fits_back_to_the_tissue_that_was_rendered(log, tmp_path):
@@ -297,8 +296,6 @@ def test_a_replay_renders_the_motion_of_a_log_at_its_scale(bundle, tmp_path):
     in_real_time(second, bundle, "--replay", first)
     one, other = read_session_log(first), read_session_log(second)
     assert other.head["scale"]["force_scale"] == one.head["scale"]["force_scale"]
-    assert other.summary is not None
-    assert one.summary is not None
     assert other.summary["deepest_mm"] == pytest.approx(one.summary["deepest_mm"], abs=0.02)
     # the same path in real time: the force differs by what the ticks' jitter moves along the ramp
     assert other.summary["peak_tissue_force_N"] == pytest.approx(one.summary["peak_tissue_force_N"], rel=0.02)
@@ -353,7 +350,6 @@ def test_what_cannot_be_shown_or_felt_is_refused(args, code, said):
 
 def test_a_log_is_served_until_it_is_told_to_end(tmp_path):
     process = start("view", recorded(tmp_path), "--no-browser")
-    assert process.stderr is not None
     line = process.stderr.readline()
     assert line.startswith("viewer     http://127.0.0.1:")
     while "Ctrl-C" not in process.stderr.readline():
@@ -402,7 +398,6 @@ def test_the_token_is_printed_with_a_remark_on_encryption():
     process = start(
         "render", "--preset", "meat", "--device", "sim", "--viewer", "--no-browser", "--host", "0.0.0.0"
     )
-    assert process.stderr is not None
     said = [process.stderr.readline() for _ in range(2)]
     process.kill()
     process.communicate()

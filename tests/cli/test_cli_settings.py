@@ -34,7 +34,6 @@ def user(text: str) -> Path:
 
 
 def seed_of(*typed: str) -> int:
-    """The seed that a run says it used."""
     ended = run("fit", write_log(Path("log.csv")), "--json", *QUICK, *typed, code=0)
     return int(ended.json()["provenance"]["options"]["seed"])
 
@@ -188,7 +187,7 @@ def test_nothing_set_is_told_so_and_a_command_that_is_none_is_refused(folder):
 
 
 def offered(words: str, *, shell: str = "bash") -> list[str]:
-    """What a shell would offer for the last word of a line."""
+    """Words that a shell would offer for the last one of a line."""
     typed, said = words.split(" "), io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True)
     with pytest.MonkeyPatch.context() as patched, contextlib.redirect_stdout(said):
         patched.setenv("_TISSUEID_COMPLETE", f"{shell}_complete")
@@ -276,13 +275,8 @@ def test_bash_completes_with_the_printed_script(tmp_path):
         "source completion; COMP_WORDS=(tissueid fit --sampler ''); COMP_CWORD=3; "
         '_tissueid_completion tissueid; echo "${COMPREPLY[@]}"'
     )
-    done = subprocess.run(
-        ["bash", "-c", script],
-        cwd=tmp_path,
-        env=os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    known = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    words = ["bash", "-c", script]
+    done = subprocess.run(words, cwd=tmp_path, env=known, capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["emcee", "none"]
     assert done.stderr == ""

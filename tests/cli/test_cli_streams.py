@@ -96,7 +96,7 @@ DATA = {"completion"}
 
 
 def harmless(ended: Ended) -> str:
-    """What a command said, in which nothing steers the terminal."""
+    """The words of a command, in which nothing steers the terminal."""
     text = f"{ended.stdout}\n{ended.stderr}"
     left = OWN.sub("", text)
     found = STEERING.search(left)

@@ -1,4 +1,4 @@
-"""What a notebook shows of a result: escaped text, the numbers of the result, no network."""
+"""A notebook shows a result: escaped text, the numbers of the result, no network."""
 
 import re
 from dataclasses import replace

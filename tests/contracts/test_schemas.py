@@ -176,8 +176,7 @@ def test_a_flag_carries_numbers_beside_its_message() -> None:
 def inspected() -> dict[str, Any]:
     time = np.linspace(0.0, 4.0, 400)
     trial = Trial("a", time, time, time, source=Source(path="a.csv"))
-    found: dict[str, Any] = plain(describe_segmented(trial, segment(trial)))
-    return found
+    return plain(describe_segmented(trial, segment(trial)))
 
 
 def test_inspect_lists_trials_and_refusals_and_nothing_between() -> None:

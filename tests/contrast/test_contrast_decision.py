@@ -127,9 +127,7 @@ def test_probability_of_being_larger_is_that_of_independent_draws() -> None:
 @pytest.mark.parametrize(
     ("ratio", "scale", "felt"), [(1.03, 0.1, False), (1.15, 0.1, True), (1.15, 1e-3, False)]
 )
-def test_a_force_that_is_not_faint_is_noticed_by_a_hand_beyond_seven_percent(
-    ratio: float, scale: float, felt: bool
-) -> None:
+def test_a_force_that_is_not_faint_is_noticed_by_a_hand_beyond_seven_percent(ratio, scale, felt) -> None:
     force = np.full(200, 40.0)
     (one,) = noticed({"force at 4 mm [N]": force}, {"force at 4 mm [N]": ratio * force}, force_scale=scale)
     assert one.limit is LIMITS[0]
@@ -145,9 +143,7 @@ def test_a_force_that_is_not_faint_is_noticed_by_a_hand_beyond_seven_percent(
         (1.01, 0.01, True, "a hand would hardly tell"),
     ],
 )
-def test_scatter_is_no_difference_that_a_hand_could_tell(
-    ratio: float, spread: float, different: bool, said: str
-) -> None:
+def test_scatter_is_no_difference_that_a_hand_could_tell(ratio, spread, different, said) -> None:
     chance = np.random.default_rng(5)
     one, other = ({"force": 40.0 * of * np.exp(spread * chance.standard_normal(4000))} for of in (1.0, ratio))
     found = noticed(one, other, force_scale=1.0)
@@ -176,7 +172,7 @@ def check_of_one_tissue() -> TissueCheck:
 
 
 def recorded_twice(check: TissueCheck, scale: float, seed: int) -> bool:
-    """Whether two recordings, the second of a tissue stiffer by a factor, are called different."""
+    """True where two recordings, the second of a tissue stiffer by a factor, are called different."""
     rng = np.random.default_rng(seed)
     truths = [check.truth(rng) for _ in range(2)]
     # the tissue is the same, gains and contact of the second recording are its own

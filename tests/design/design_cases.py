@@ -82,7 +82,7 @@ class Case:
         return replace(check, contact_stated=True)
 
     def instrument(self) -> dict[str, CalibrationPrior]:
-        """What the machine states of its calibration, as the priors of a study."""
+        """The calibration that the machine states, as the priors of a study."""
         means = {
             "force_gain": 1.0,
             "displacement_gain": 1.0,
@@ -121,12 +121,8 @@ def simulated_errors(case: Case, runs: int) -> dict[str, FloatArray]:
     rng = np.random.default_rng(case.seed)
     true = case.numbers(case.tissues.theta)
     errors: dict[str, list[float]] = {name: [] for name in true}
-    order = FitOptions(
-        branches=check.model.branches,
-        stiffness_degree=check.model.stiffness_degree,
-        static=check.pooling,
-        noise=check.noise_model,
-    )
+    size = {"branches": check.model.branches, "stiffness_degree": check.model.stiffness_degree}
+    order = FitOptions(**size, static=check.pooling, noise=check.noise_model)
     options = IdentifyOptions(fit=order, segment=check.segmentation)
     study = Study("a machine that is known", calibration=KNOWN_MACHINE)
     for _ in range(runs):
@@ -183,7 +179,7 @@ def paper_a() -> Case:
 
 
 def better_than_paper_a() -> Case:
-    """What is recommended for the precision that paper A's protocol has."""
+    """Recommended for the precision that paper A's protocol has."""
     given = paper_a()
     wants = {
         want.name: want.share
@@ -202,13 +198,8 @@ def correlated() -> Case:
 def filtered() -> Case:
     """A filter of 10 ms known to 0.5 ms, a frame of 2000 N/mm known to a tenth, gains and skew: the total."""
     setting = Setting(200.0, 1.0, filter_s=0.01, filter_sd_s=0.0005)
-    machine = replace(
-        PRESETS["bench"],
-        settings=(setting,),
-        force_gain_sd=0.005,
-        displacement_gain_sd=0.005,
-        skew_sd_s=0.0005,
-    )
+    defects = {"force_gain_sd": 0.005, "displacement_gain_sd": 0.005, "skew_sd_s": 0.0005}
+    machine = replace(PRESETS["bench"], settings=(setting,), **defects)
     tissue = one_tissue((6.0, 0.3, 0.05), (((20.0,), 0.08),))
     return _recommended(
         "a load filter, total", tissue, machine, {TAU: 0.02, ETA: 0.015}, 20264, total=True, gain_sd=0.01

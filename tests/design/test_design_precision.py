@@ -248,13 +248,8 @@ NUISANCES = {
 def test_nuisances_of_the_instrument_act_as_in_a_recording():
     # little noise and next to no knowledge: what the data say is what is compared
     setting = Setting(400.0, 0.01, filter_s=0.01, filter_sd_s=0.1)
-    machine = replace(
-        PRESETS["paper-a"],
-        contact_sd_mm=0.01,
-        skew_sd_s=0.1,
-        frame_stiffness_N_per_mm=2000.0,
-        frame_stiffness_N_per_mm_sd=2000.0,
-    )
+    frame = {"frame_stiffness_N_per_mm": 2000.0, "frame_stiffness_N_per_mm_sd": 2000.0}
+    machine = replace(PRESETS["paper-a"], contact_sd_mm=0.01, skew_sd_s=0.1, **frame)
     chain = Chain(machine, setting, 0.0, 0.0, total=True)
     model, theta = PAPER_A.model, PAPER_A.theta[0]
     centre = {name: value for name, (value, _) in NUISANCES.items()}

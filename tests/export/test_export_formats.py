@@ -35,24 +35,15 @@ RENDERED = (bundle_of(PAPER_A), bundle_of(TWO_BRANCHES))
 
 @pytest.fixture(params=RENDERED, ids=lambda bundle: bundle.specimen)
 def bundle(request: pytest.FixtureRequest) -> Bundle:
-    found: Bundle = request.param
-    return found
+    return request.param
 
 
 def of_law(name: str, theta: list[float], **nodes: tuple[float, ...]) -> Bundle:
-    """A bundle of another law."""
     plain = bundle_of(PAPER_A)
     choice = ModelChoice(name, 1, 1, 0, "shared", name, (0.01, 10.0), **nodes)
     model = rebuilt(choice, plain.depth_mm)
-    names = model.parameter_names
-    return replace(
-        plain,
-        model=choice,
-        theta=np.array(theta),
-        theta_names=names,
-        covariance=np.eye(len(names)),
-        draws=None,
-    )
+    law = {"model": choice, "theta": np.array(theta), "theta_names": model.parameter_names}
+    return replace(plain, **law, covariance=np.eye(len(theta)), draws=None)
 
 
 #: Pieces and a projection; the static force inside; own curves and times outside.

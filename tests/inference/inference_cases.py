@@ -36,10 +36,10 @@ def log_data(time_s, depth_mm, force_N, *, include=None, fold=None) -> LogData:
     )
 
 
-def blocks_from(data: LogData, *, whole: bool = False, contact_sd_mm: float = 0.02) -> Blocks:
+def blocks_from(data: LogData, *, whole: bool = False) -> Blocks:
     """Blocks of a log that starts in contact."""
     step = float(np.median(np.diff(data.time_s)))
-    return log_blocks(data, step_s=step, contact_sd_mm=contact_sd_mm, leads=False, whole=whole)
+    return log_blocks(data, step_s=step, contact_sd_mm=0.02, leads=False, whole=whole)
 
 
 def ramp_hold(rate_Hz: float, speed_mm_s: float, depth_mm: float, hold_s: float):
@@ -84,7 +84,6 @@ def true_segmentation(trial: Trial, *, sd_mm: float = KNOWN_CONTACT_MM, noise_N:
 
 def handle_for(trial: Trial, segmentation: Segmentation) -> LogHandle:
     facts = fitted_log(trial, segmentation)
-    assert isinstance(facts, FittedLog)
     return LogHandle(
         load=lambda: trial,
         segmentation=segmentation,
@@ -94,12 +93,10 @@ def handle_for(trial: Trial, segmentation: Segmentation) -> LogHandle:
 
 
 def handles_for(logs: Sequence[SyntheticLog], *, sd_mm: float = KNOWN_CONTACT_MM) -> list[LogHandle]:
-    """What the pipeline would hand to the fit."""
     return [handle_for(trial, true_segmentation(trial, sd_mm=sd_mm)) for trial in as_trials(list(logs))]
 
 
 def handles_of(recipe: Recipe, seed: int, *, sd_mm: float = KNOWN_CONTACT_MM) -> list[LogHandle]:
-    """The same, of recordings that are drawn."""
     return handles_for(draw(recipe, seed), sd_mm=sd_mm)
 
 
@@ -130,7 +127,7 @@ def draw(recipe: Recipe, seed: int) -> list[SyntheticLog]:
 
 
 def divided_handle(trial: Trial) -> LogHandle:
-    """What the pipeline would hand to the fit, as the segmenter divides it."""
+    """The handle that the pipeline would hand to the fit, divided by the segmenter."""
     return handle_for(trial, segment(trial))
 
 
@@ -143,5 +140,4 @@ def state_of(
 
 
 def by_name(fit) -> dict:
-    """Parameters of a fit, or of a tissue, by name."""
     return {one.name: one for one in fit.parameters}

@@ -29,7 +29,6 @@ NOISES = {
 
 
 def alarm_for(plan, seed, **options):
-    """Alarm of a fit with one branch."""
     found = state_of(handles_of(plan, seed), **{"static": "partial", **options})
     return residual_blocks.misfit_alarm(found.told.blocks, found.noise), found
 
@@ -74,23 +73,23 @@ def test_false_alarms_are_rare(noise, logs):
     assert bounds_99(len(raised), f"false alarms, {noise}, {logs} logs")[1] <= 0.08
 
 
-def made_blocks(mean, *, count=100, step=0.01, place=None, hold=True):
+def made_blocks(mean, *, count=100):
     """Blocks of equal length with given means and nothing fitted."""
     k = len(mean)
-    start = np.arange(k) * count * step
+    start = np.arange(k) * count * 0.01
     return residual_blocks.ResidualBlocks(
         phase=np.zeros(k, dtype=np.int64),
-        hold=np.full(k, hold),
-        place=np.arange(k) if place is None else np.asarray(place),
+        hold=np.full(k, True),
+        place=np.arange(k),
         count=np.full(k, count),
         mean_N=np.asarray(mean, dtype=float),
         start_s=start,
-        end_s=start + (count - 1) * step,
+        end_s=start + (count - 1) * 0.01,
         shared=np.zeros((k, 1)),
         own=np.zeros((k, 1)),
         speed_mm_s=1.0,
         depth_mm=4.0,
-        step_s=step,
+        step_s=0.01,
     )
 
 
@@ -246,7 +245,7 @@ def test_two_logs_carry_the_stated_spread_between_places():
 
 
 def test_directions_of_the_prior_keep_it():
-    """Where data say nothing, clusters don't either."""
+    """Clusters say nothing of a direction that the data say nothing of."""
     at = target(sigma_N=0.3)
     found, _ = residual_blocks.sandwich_covariance(at)
     plain = covariance_of(at.precision)

@@ -44,7 +44,6 @@ COVARIANCE = _ROOT @ _ROOT.T
 
 
 def correlated() -> Density:
-    """A normal of :data:`MEAN` and :data:`COVARIANCE`."""
     inverse = np.linalg.inv(_ROOT)
     return Density(4, lambda z: -0.5 * (((z - MEAN) @ inverse.T) ** 2).sum(axis=1))
 

@@ -35,7 +35,7 @@ def in_air_trial(speed=2.0, contact_mm=0.505, n=400):
     return Trial("s", time, displacement, 10.0 * np.maximum(displacement - contact_mm, 0.0))
 
 
-def segmented(trial, *, contact_mm=0.505, sd=0.05, extra=(), sign=1):
+def segmented(trial, *, contact_mm=0.505, sd=0.05):
     index = int(np.searchsorted(trial.displacement_mm, contact_mm))
     corner = int(np.argmax(trial.displacement_mm))
     time = trial.time_s
@@ -43,9 +43,8 @@ def segmented(trial, *, contact_mm=0.505, sd=0.05, extra=(), sign=1):
         phase("approach", 0, index + 1, time, 2.0),
         phase("ramp", index, corner + 1, time, 2.0),
         phase("hold", corner, time.size, time),
-        *extra,
     )
-    return Segmentation(sign, sign, Contact(index, contact_mm, sd, in_record=True), phases, 0.1)
+    return Segmentation(1, 1, Contact(index, contact_mm, sd, in_record=True), phases, 0.1)
 
 
 def test_fit_starts_at_a_contact_inserted_between_two_samples():
@@ -213,15 +212,13 @@ STATIC = (8.0, 0.0, 0.6)
 SIGMA_N = 0.02
 
 
-def recording(knots_s: list[float], depths_mm: list[float], *, lost: bool = False, seed: int = 1) -> Trial:
-    """A tissue of one branch along a polyline, by the exact recursion; ``lost`` cuts off what would pull."""
+def recording(knots_s: list[float], depths_mm: list[float]) -> Trial:
+    """A tissue of one branch along a polyline, by the exact recursion."""
     time = np.arange(0.0, knots_s[-1], 1.0 / RATE_HZ)
     depth = np.interp(time, knots_s, depths_mm)
     x = np.maximum(depth, 0.0)
     force = sum(a * x**k for k, a in enumerate(STATIC, 1)) + STIFFNESS * branch_state(time, x, TAU_S)
-    if lost:
-        force = np.where(depth <= 0.0, 0.0, np.maximum(force, 0.0))
-    noise = SIGMA_N * np.random.default_rng(seed).standard_normal(time.size)
+    noise = SIGMA_N * np.random.default_rng(1).standard_normal(time.size)
     return Trial("tissue", time, depth, force + noise)
 
 

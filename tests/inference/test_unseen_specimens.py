@@ -30,7 +30,7 @@ def quasi_linear(time, x):
 
 
 def rows(fit):
-    """What is printed of a fit's parameters, by name."""
+    """Printed rows of a fit's parameters, by name."""
     return {one["name"]: one for one in fit.result.as_json()["parameters"]}
 
 

@@ -71,7 +71,7 @@ def original(seed: Seed) -> tuple[tuple[float, float, float], ...]:
 
 
 def remarks(trial: Trial) -> frozenset[tuple[str, str]]:
-    """What is said of a recording: the code of each flag, and which column or channel it speaks of."""
+    """Remarks on a recording: the code of each flag, and which column or channel it speaks of."""
     return frozenset(
         (flag.code, str(flag.values.get("taken", flag.values.get("quantity", "")))) for flag in trial.flags
     )

@@ -23,7 +23,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Reading:
-    """What a file holds: its rows, and the lines that are neither rows nor free of numbers."""
+    """The content of a file: its rows, and the lines that are neither rows nor free of numbers."""
 
     rows: tuple[Row, ...]
     odd: tuple[int, ...]

@@ -25,7 +25,7 @@ UNITS_OF = {0: ("s", "sec", "ms", "min"), 1: ("mm", "um", "m", "cm", "in"), 2: (
 
 @dataclass(frozen=True)
 class Intent:
-    """How a file is meant: all that its reading depends on.
+    """The meaning of a file: all that its reading depends on.
 
     ``channels`` are the columns of time, displacement and force, ``units`` their printed units,
     ``words`` the columns whose cells may hold anything.

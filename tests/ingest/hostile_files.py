@@ -26,7 +26,7 @@ _OFFICE = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of one file in the child: codes of its items, seconds, and memory so far."""
+    """The fate of one file in the child: codes of its items, seconds, and memory so far."""
 
     codes: tuple[str, ...]
     messages: tuple[str, ...]

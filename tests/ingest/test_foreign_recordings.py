@@ -122,9 +122,7 @@ def by_a_spreadsheet(value: float, decimals: int) -> str:
 @pytest.mark.parametrize(
     ("channel", "decimals", "most"), [(1, 4, 99.0), (2, 4, 99.0), (1, 4, 1.03), (1, 5, 1.009), (2, 4, 2.0)]
 )
-def test_tenths_that_a_spreadsheet_made_are_refused(
-    tmp_path: Path, channel: int, decimals: int, most: float
-) -> None:
+def test_tenths_that_a_spreadsheet_made_are_refused(tmp_path, channel, decimals, most) -> None:
     # digits differ from row to row
     rows = [[value + 0.0037 * row[0] * (k > 0) for k, value in enumerate(row)] for row in PRESS]
     text = "Time;Displacement;Force\n(s);(mm);(N)\n"
@@ -173,9 +171,7 @@ def segmented(path: Path, decimals: int, rows: list[Row]) -> Segmentation:
         pytest.param(4, press(50.0, noise_N=3e-3, friction_N=10.0), id="needle-whose-friction-turns"),
     ],
 )
-def test_neither_digits_nor_the_corner_of_a_hold_are_its_noise(
-    tmp_path: Path, decimals: int, rows: list[Row]
-) -> None:
+def test_neither_digits_nor_the_corner_of_a_hold_are_its_noise(tmp_path, decimals, rows) -> None:
     found = segmented(tmp_path, decimals, rows)
     assert found.contact.in_record
     assert found.contact.displacement_mm == pytest.approx(CONTACT_MM, abs=0.05)

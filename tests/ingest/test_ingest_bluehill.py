@@ -15,10 +15,8 @@ from tissueid.synth.bluehill import LANGUAGES
 BARE, COMMA = Dialect(header=False), Dialect(delimiter=";", decimal=",")
 
 
-def written(
-    folder: Path, text: str, *, encoding: str = "ascii", name: str = "Specimen_RawData_1.csv"
-) -> Path:
-    return put(folder / name, text, encoding)
+def written(folder: Path, text: str, *, name: str = "Specimen_RawData_1.csv") -> Path:
+    return put(folder / name, text, "ascii")
 
 
 def printed(how: Dialect = BARE, count: int = 60) -> str:
@@ -218,7 +216,7 @@ def random_dialect(draw: random.Random) -> Dialect:
 
 
 def fault(path: Path, dialect: Dialect, log: SyntheticLog) -> str | None:
-    """What is wrong with the reading of one file, ``None`` where nothing is."""
+    """The fault in the reading of one file, ``None`` where there is none."""
     (item,) = read_each(path)
     if isinstance(item, InputError):
         return f"refused: {item}"

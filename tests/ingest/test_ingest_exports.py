@@ -303,7 +303,7 @@ class Curve:
         return [(down, pressed), (held, 50e-9 * relaxing), (down[::-1], 0.5 * pressed[::-1])]
 
     def counts(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-        """What is stored."""
+        """The stored integers."""
         per_count = STIFFNESS_N_PER_M * SENSITIVITY_M_PER_V * VOLTS_PER_COUNT
         return [
             (

@@ -48,7 +48,7 @@ def make(letter: str, index: int) -> Mutant:
 
 
 def usual_flags(folder: Path) -> dict[str, frozenset[tuple[str, str]]]:
-    """What is said of each sound seed, which reads as the oracle reads it."""
+    """Remarks on each sound seed, which reads as the oracle reads it."""
     usual = {}
     for seed in seeds():
         (trial,) = read_each(put(folder / f"seed{seed.suffix}", seed.data))
@@ -99,9 +99,7 @@ def workbooks(letter: str, count: int, _folder: Path) -> Iterator[Case]:
         pytest.param(workbooks, LONG_WORKBOOKS, id="many workbooks", marks=pytest.mark.slow),
     ],
 )
-def test_mutants_are_read_right_or_refused(
-    cases: Callable[[str, int, Path], Iterator[Case]], counts: dict[str, int], letter: str, tmp_path: Path
-) -> None:
+def test_mutants_are_read_right_or_refused(cases, counts, letter, tmp_path) -> None:
     count, bugs, outcomes = counts[letter], [], Counter()
     for index, (kind, suffix, data, judged) in enumerate(cases(letter, count, tmp_path)):
         path = put(tmp_path / f"mutant{suffix}", data)

@@ -25,7 +25,7 @@ linux_only = pytest.mark.skipif(sys.platform != "linux", reason="limits, pipes a
 
 
 def bounded(folder: Path, files: dict[str, bytes]) -> dict[str, hostile.Verdict]:
-    """What a child makes of files, in the time and memory of a real workbook of some megabytes."""
+    """Verdicts of a child on files, in the time and memory of a real workbook of some megabytes."""
     for name, data in files.items():
         (folder / name).write_bytes(data)
     paths = [folder / name for name in files]

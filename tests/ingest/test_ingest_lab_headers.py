@@ -25,9 +25,7 @@ TIMED = "".join(f"{0.1 * row:.2f}\t{20.0 * row:.0f}\t{0.5 * row:.1f}\n" for row 
         ("s,µs", 1e-6),
     ],
 )
-def test_a_part_of_a_second_in_a_column_of_its_own_is_added(
-    tmp_path: Path, names: str, unit_s: float
-) -> None:
+def test_a_part_of_a_second_in_a_column_of_its_own_is_added(tmp_path, names, unit_s) -> None:
     """Sampled at 100 Hz and then at 4 Hz, as a logger that adapts its rate."""
     time = 20.37 + np.concatenate([0.01 * np.arange(100), 1.0 + 0.25 * np.arange(100)])
     whole = np.floor(np.round(time, 9))

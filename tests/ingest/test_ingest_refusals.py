@@ -1,4 +1,4 @@
-"""What is no recording is refused by name and reason; tables in HTML and XML; readers of others."""
+"""Files that are no recordings are refused by name and reason; tables in HTML and XML; readers of others."""
 
 import importlib
 import json
@@ -223,9 +223,7 @@ def xml(indexed: bool) -> str:
 
 @pytest.mark.parametrize("made", [html, partial(xml, indexed=False), partial(xml, indexed=True)])
 @pytest.mark.parametrize("encoding", ["utf-8", "cp1252"])
-def test_the_table_of_a_page_or_of_the_old_xml_is_read_with_its_empty_columns(
-    tmp_path, made, encoding
-) -> None:
+def test_the_table_of_a_page_or_of_the_old_xml_is_read_with_its_empty_columns(tmp_path, made, encoding):
     path = put(tmp_path / "a.xls", made(), encoding)
     assert find_inputs([tmp_path]) == [path]
     trial = read(path)

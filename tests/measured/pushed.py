@@ -31,12 +31,7 @@ def pushed(
     decay = np.exp(-step / tau_s)
     branch = lfilter([10.0 * np.sqrt(decay)], [1.0, -decay], np.diff(depth, prepend=0.0))
     force = gain * (5.0 * depth + branch)
-    seen = slice(None, None, FINE)
-    noise = noise_N * np.random.default_rng(seed).normal(size=time[seen].size)
-    return Trial(
-        "liver",
-        time[seen],
-        np.round((travel + swing)[seen], 5),
-        zero_N + drift_N_per_s * time[seen] + np.minimum(force[seen] + noise, stop_force_N),
-        source=Source(path="push.csv"),
-    )
+    time, place, force = time[::FINE], np.round((travel + swing)[::FINE], 5), force[::FINE]
+    noise = noise_N * np.random.default_rng(seed).normal(size=time.size)
+    read = zero_N + drift_N_per_s * time + np.minimum(force + noise, stop_force_N)
+    return Trial("liver", time, place, read, source=Source(path="push.csv"))

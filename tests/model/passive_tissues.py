@@ -37,7 +37,6 @@ def tissue(branches: int, degree: int) -> tuple[ChannelModel, np.ndarray]:
 
 
 def of_law(name: str, depth_mm: float = DEPTH_MM, window_s: float = 20.0) -> tuple[ChannelModel, np.ndarray]:
-    """A model by its name and a tissue of it."""
     named = parsed(name)
     if named.paper:
         model = kelvin_voigt(named.branches, named.degree, depth_mm)

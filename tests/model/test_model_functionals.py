@@ -194,7 +194,7 @@ OF_EVERY_KIND = (
 
 
 def heat_of(model: ChannelModel, theta: np.ndarray, path: ContactPath) -> np.ndarray:
-    """What the dampers of every exponential have turned into heat, (n,) [N mm]."""
+    """Heat that the dampers of every exponential have made, (n,) [N mm]."""
     x, elastic, power = path.depth_mm, model.static_force(theta, path.depth_mm), np.zeros(path.time_s.size)
     fine = np.linspace(0.0, x.max(), 20_001)
     force = model.static_force(theta, fine)

@@ -18,10 +18,7 @@ from tissueid.model.servo_law import servo_law
 
 
 def law(name: str = "power * impact") -> DampedModel:
-    """The law as a contact model."""
-    model = parsed(name).model(8.0, 0.01, 10.0)
-    assert isinstance(model, DampedModel)
-    return model
+    return parsed(name).model(8.0, 0.01, 10.0)
 
 
 #: e asked for -> e that a free mass reaches under the printed damping (Lambert W).

@@ -59,7 +59,6 @@ def test_linear_legs_match_a_solver_of_equation_5(degree: int) -> None:
     fs, k = np.polynomial.Polynomial([0.0, *static]), np.polynomial.Polynomial(stiffness[0])
 
     def rate(x, v, f):
-        """Rate of the force at a depth and a speed."""
         return (fs.deriv()(x) + k(x)) * v + (k.deriv()(x) / k(x) * v - 1.0 / tau[0]) * (f - fs(x))
 
     # the same piecewise linear path for both: no error of sampling, only that of the solver
@@ -183,7 +182,6 @@ SPEED_MM_S = 250.0 / 60.0
 
 
 def branch_state(time: np.ndarray, depth: np.ndarray, tau_s: float) -> np.ndarray:
-    """State of one branch."""
     return branch_states(time, depth, np.array([tau_s]))[0]
 
 

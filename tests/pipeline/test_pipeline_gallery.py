@@ -17,12 +17,9 @@ NUMBER = re.compile(r"(?<![#\w])-?\d+(?:\.\d+)?(?:e[+-]\d+)?")
 def made_now() -> str:
     """The page, from the script."""
     spec = importlib.util.spec_from_file_location("gallery", REPOSITORY / "scripts" / "write-gallery.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    page: str = module.gallery_page()
-    return page
+    return module.gallery_page()
 
 
 def parted(page: str) -> tuple[str, np.ndarray]:

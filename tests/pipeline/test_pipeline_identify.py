@@ -275,15 +275,7 @@ def test_committed_sets_give_the_committed_identification(datasets: Path) -> Non
 ETA_N_S_PER_MM = 1.6
 
 
-def fit(
-    seed: int,
-    *,
-    repeats: int = 1,
-    speeds: tuple[float, ...] = (90.0,),
-    stiffness: tuple[float, ...] = (0.8,),
-    sample: bool = False,
-    **options: int,
-) -> SpecimenFit:
+def fit(seed, *, repeats=1, speeds=(90.0,), stiffness=(0.8,), sample=False, **options) -> SpecimenFit:
     """Ramps to 5 mm of depth from 1 mm in air, 20 s of hold; stops rounded, displacement with noise."""
     logs = tuple(Log(f"v{speed:g}", (Move(6.0, speed), Hold(20.0)), repeats=repeats) for speed in speeds)
     plan = Recipe(

@@ -34,8 +34,6 @@ class Run:
 
 @dataclass(frozen=True)
 class Job:
-    """What to simulate and how to fit it."""
-
     plan: Recipe
     options: FitOptions
     seed: int
@@ -48,16 +46,10 @@ def _numbers(estimate: Estimate) -> tuple[float, float, bool]:
 
 
 def run_job(job: Job) -> Run:
-    """Simulate, segment, fit."""
     trials = as_trials(simulate(job.plan, rng=np.random.default_rng(job.seed)))
     (fit,) = identify(trials, options=IdentifyOptions(fit=job.options)).specimens
-    return Run(
-        seed=job.seed,
-        branches=fit.model.branches,
-        degree=fit.model.stiffness_degree,
-        tau=_numbers(fit.parameter("relaxation_time_s")),
-        eta=_numbers(fit.parameter("viscosity_N_s_per_mm")),
-    )
+    tau, eta = (_numbers(fit.parameter(name)) for name in ("relaxation_time_s", "viscosity_N_s_per_mm"))
+    return Run(job.seed, fit.model.branches, fit.model.stiffness_degree, tau=tau, eta=eta)
 
 
 def jobs(name: str, seeds: range, options: FitOptions, *, rate_Hz: float, **scatter: float) -> list[Job]:
@@ -66,11 +58,11 @@ def jobs(name: str, seeds: range, options: FitOptions, *, rate_Hz: float, **scat
     return [Job(plan, options, seed) for seed in seeds]
 
 
-def run_jobs(work: Sequence[Job], *, workers: int = 2) -> list[Run]:
+def run_jobs(work: Sequence[Job]) -> list[Run]:
     """All jobs, in spawned workers of one thread each."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("NUMBA_NUM_THREADS", "1")
-    with get_context("spawn").Pool(workers) as pool:
+    with get_context("spawn").Pool(2) as pool:
         return pool.map(run_job, work, chunksize=1)
 
 

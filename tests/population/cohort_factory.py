@@ -70,7 +70,6 @@ def members(
     between: float = 0.15,
     own: tuple[float, ...] = (0.01, 0.01, 0.01, 0.02, 0.2),
     repeats: int = 3,
-    within: float = 0.03,
     draws: int = 1000,
     common: float = 0.9,
 ) -> tuple[Member, ...]:
@@ -85,7 +84,7 @@ def members(
         phi = place + np.array(own) * (rng.standard_normal(5) + rng.standard_normal((draws, 5))) @ ratios
         theta = COORDINATES.to_theta(phi)
         good = COORDINATES.passive(theta)
-        gains = np.exp(within * rng.standard_normal(repeats))
+        gains = np.exp(0.03 * rng.standard_normal(repeats))
         rows = tuple(
             TrialRow(f"{i}-{k}.csv", None, float(gain), 4.0, 8.0, k + 1, None, ramp(truth, gain=float(gain)))
             for k, gain in enumerate(gains)

@@ -84,7 +84,7 @@ def fitted(name: str, phi: np.ndarray, rate_Hz: float, rng: np.random.Generator)
 
 
 def cohort_of_recordings(seed: int, rate_Hz: float | None = None) -> SimpleNamespace:
-    """Whether 95 % intervals hold the truth, and held-out errors with the population and without.
+    """Hits of 95 % intervals on the truth, and held-out errors with the population and without.
 
     Sampled at some rate of 10 to 100 Hz, or at the one that is given.
     """
@@ -152,7 +152,7 @@ OWN = np.array([0.02, 0.02, 0.02, 0.1, 0.1, 0.1, 0.5])
 
 
 def holds_the_truth(seed: int) -> np.ndarray:
-    """Whether 95 % intervals of seven means and seven spreads hold a truth drawn from the priors."""
+    """Hits of 95 % intervals of seven means and seven spreads on a truth drawn from the priors."""
     rng = np.random.default_rng([77, seed])
     mean = rng.normal(0.0, STATED.mean_sd, SIZE)
     sd = np.exp(rng.normal(np.log(STATED.between.median), STATED.between.sd_ln, SIZE))

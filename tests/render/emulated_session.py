@@ -12,7 +12,7 @@ from felt_block import parameters, preset_check
 
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
-from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings, ScriptedFault
+from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE
@@ -35,15 +35,7 @@ def pressing(stiffness: float = 500.0) -> Hand:
 class EmulatedSession(ExitStack):
     """Driver, emulator and servo; of each tick its record, and motor units that had arrived by then."""
 
-    def __init__(
-        self,
-        *faults: ScriptedFault,
-        hand: Hand | None = None,
-        limits: GuardLimits = LIMITS,
-        tissue: str = "paper-a",
-        surface_z: float = 0.130,
-        **settings: Any,
-    ) -> None:
+    def __init__(self, *faults, hand=None, limits=LIMITS, tissue="paper-a", surface_z=0.130, **settings):
         super().__init__()
         given = EmulatorSettings(hand=hand or pressing(), period_s=TICK_S, faults=faults, **settings)
         self.link = EmulatedLink(given)

@@ -5,7 +5,7 @@ import numpy as np
 from tissueid.rendering.options import ASSUMED_DEVICE, preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.precheck import Precheck, check_before_force
-from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
+from tissueid.rendering.tissue_block import Plane, tissue_block
 
 #: The controller counts, and never brakes.
 WATCHING = PassivityLimits(on=False)
@@ -16,14 +16,7 @@ def preset_check(name: str) -> Precheck:
     return check_before_force(preset_tissue(name), ASSUMED_DEVICE)
 
 
-def parameters(
-    tissue: str | Tissue = "paper-a",
-    *,
-    surface_z: float = 0.130,
-    scales: tuple[float, float] | None = None,
-    label: int = 0,
-    control: PassivityLimits = WATCHING,
-) -> np.ndarray:
+def parameters(tissue="paper-a", *, surface_z=0.130, scales=None, label=0, control=WATCHING) -> np.ndarray:
     """A tissue below a height [m], at scales of force and motion or at its preset's own, and a controller."""
     if scales is None:
         found = preset_check(tissue).scaling

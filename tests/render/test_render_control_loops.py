@@ -43,14 +43,11 @@ def test_sustained_contact_is_tracked_whatever_the_stiffness(variant, bar_mm, sc
 
 @pytest.mark.needs_jit
 def test_learning_halves_the_error_where_the_robust_term_does_not_cover_the_dynamics():
-    settings = replace(
-        table_3("B"),
-        gains=control.Gains(adaptation=(5.0, 500.0, 5000.0), disturbance_bound_N=1.0, damping_N_s_per_m=20.0),
-        start_estimates=np.zeros(3),
-        push=control.Signal((2.0,), (3.0,), (1.0,)),
-        # within what the robust term covers
-        disturbance=control.Signal((0.0,), (0.5,), (3.0,)),
-    )
+    gains = control.Gains(adaptation=(5.0, 500.0, 5000.0), disturbance_bound_N=1.0, damping_N_s_per_m=20.0)
+    settings = replace(table_3("B"), gains=gains, start_estimates=np.zeros(3))
+    # the disturbance within what the robust term covers
+    push, disturbance = control.Signal((2.0,), (3.0,), (1.0,)), control.Signal((0.0,), (0.5,), (3.0,))
+    settings = replace(settings, push=push, disturbance=disturbance)
 
     adaptive, frozen = simulate(settings), simulate(settings.frozen())
 

@@ -61,8 +61,6 @@ K_TAU = (1.336, 0.002)
 
 
 class Figures(NamedTuple):
-    """Measures of one session."""
-
     margin_J: float  # of the energy of any touch, over what its counts are allowed
     kept: float  # least share, at its end, of the most that a touch took from the hand
     ledger_J: float
@@ -137,15 +135,7 @@ def least_margin(energy: np.ndarray, depth: np.ndarray, per_tick_J: np.ndarray) 
     return margin, kept
 
 
-def in_closed_loop(
-    device: SimulatedDevice,
-    tissue: Tissue,
-    scale: float,
-    steps: np.ndarray,
-    *,
-    controller: bool,
-    **drawn: Any,
-) -> Figures:
+def in_closed_loop(device, tissue, scale, steps, *, controller, **drawn) -> Figures:
     """Figures of one session of a device with a tissue under its hand."""
     factor, quantum = scale / MOTION_SCALE * 1e3, float(device.parameters[QUANTUM])
     tangent = scaling_at(tissue, force=scale, motion=MOTION_SCALE).device_stiffness_N_per_m

@@ -29,7 +29,6 @@ def specimen_of(fit: SpecimenFit) -> dict[str, Any]:
 
 
 def payload_of(html: str, name: str) -> Any:
-    """What a page carries for its script."""
     (text,) = re.findall(rf'<script type="application/json" id="{name}">(.*?)</script>', html, re.DOTALL)
     return json.loads(text)
 
@@ -65,12 +64,11 @@ def drawn(tab: Any, kind: str, **data: Any) -> list[dict[str, Any]]:
     box = "".join(f'[data-{key}="{value}"]' for key, value in {"figure": kind, **data}.items())
     tab.locator(box).scroll_into_view_if_needed()
     tab.wait_for_function("box => document.querySelector(box).data", arg=box)
-    traces: list[dict[str, Any]] = tab.evaluate(
+    return tab.evaluate(
         """box => document.querySelector(box).data.map(one => ({name: one.name, fill: one.fill,
             axis: one.xaxis || "x", x: Array.from(one.x || []), y: Array.from(one.y)}))""",
         box,
     )
-    return traces
 
 
 def wide(tab: Any) -> int:

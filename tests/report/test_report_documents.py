@@ -212,9 +212,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("schema", "render", "made", "words"), CASES)
-def test_a_page_asks_the_network_for_nothing_and_says_its_numbers(
-    schema: str, render: Callable[..., str], made: Callable[[], dict[str, Any]], words: Words
-):
+def test_a_page_asks_the_network_for_nothing_and_says_its_numbers(schema, render, made, words):
     document = made()
     assert first_problem(document, schema) is None
     page = html.unescape(self_contained(partial(render, document)).partition("<script>")[0])

@@ -52,7 +52,7 @@ def ramp_hold(
 
 @cache
 def looked() -> dict[str, Any]:
-    """What is said of the recording above, changed by nobody."""
+    """The document of the recording above, changed by nobody."""
     return plain(recording(ramp_hold()).document)
 
 

@@ -252,7 +252,6 @@ def test_a_mean_ends_where_the_first_of_its_curves_does():
     rows = np.outer([1.0, 4.0, 2.0, np.nan], np.arange(6.0))
     rows[1, 3:] = np.nan
     found = _summary(np.arange(6.0), rows)
-    assert found is not None
     assert (found["x"], found["n"]) == ([0.0, 1.0, 2.0], [3, 3, 3])
     assert found["mean"] == pytest.approx([0.0, 7 / 3, 14 / 3], rel=1e-4)
     assert _summary(np.arange(6.0), rows[1:2]) is None

@@ -269,13 +269,9 @@ def whole():
     fit = sampled(specimen_fit(trials=3, samples=120, identified=False))
     specimen = document_of(fit)["specimens"][0]
     described = completeness_of_result(None)
-    return page(
-        fit,
-        refused=True,
-        renderings=[rendering_of(specimen, posteriors_of_fits([fit])[0])],
-        metadata=described,
-        twin=twin_sections(typed(TWIN, Twin)),
-    )
+    shown = [rendering_of(specimen, posteriors_of_fits([fit])[0])]
+    twin = twin_sections(typed(TWIN, Twin))
+    return page(fit, refused=True, renderings=shown, metadata=described, twin=twin)
 
 
 def draw_all(tab: Any) -> set[str]:

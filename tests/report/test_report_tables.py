@@ -33,12 +33,11 @@ TABLE = "#specimen-1-trial-table"
 
 def names(tab: Any) -> list[str]:
     """Trials that are shown, from top to bottom."""
-    found: list[str] = tab.evaluate(
+    return tab.evaluate(
         """table => [...document.querySelectorAll(`${table} tbody tr`)].filter(row => !row.hidden)
             .map(row => row.cells[0].textContent.trim())""",
         TABLE,
     )
-    return found
 
 
 @pytest.fixture
@@ -109,7 +108,7 @@ def test_methods_say_what_this_run_did_with_equations():
 
 
 def read_back(text: str) -> dict[str, Any]:
-    """What a run did, read from its methods paragraph alone, as whoever repeats the run would."""
+    """The settings of a run, read from its methods paragraph alone, as whoever repeats the run would."""
 
     def one(pattern: str) -> str | None:
         found = re.search(pattern, text)

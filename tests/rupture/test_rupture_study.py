@@ -1,4 +1,4 @@
-"""What is said of a cohort, what is refused, and what goes into the bundles."""
+"""Words on a cohort, refusals, and the contents of bundles."""
 
 from dataclasses import replace
 

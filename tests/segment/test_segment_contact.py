@@ -469,8 +469,6 @@ TISSUES = {
 
 @dataclass(frozen=True)
 class Condition:
-    """What is the same for a set of ramps."""
-
     rate_Hz: float
     sigma_N: float
     tissue: str = "seed"

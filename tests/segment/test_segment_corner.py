@@ -1,4 +1,4 @@
-"""How a ramp came to its stop; and contacts behind a preload that has relaxed, or noise that lasts."""
+"""Stops at the end of ramps; and contacts behind a preload that has relaxed, or noise that lasts."""
 
 import numpy as np
 import pytest

@@ -39,8 +39,6 @@ class Segment:
 
 @dataclass
 class Truth:
-    """What must be found."""
-
     kinds: list[str] = field(default_factory=list)
     #: For each inner edge: earliest and latest time that is right; nan where the contact decides.
     edges: list[tuple[float, float]] = field(default_factory=list)
@@ -56,7 +54,7 @@ class Truth:
 
 
 def draw_setting(rng: np.random.Generator) -> SimpleNamespace:
-    """How the machine moves and logs: 10-500 mm/min, 10-1,000 Hz, 2-10 mm.
+    """Motion and logging of the machine: 10-500 mm/min, 10-1,000 Hz, 2-10 mm.
 
     A ramp has 8 samples or more, a recording some 60,000 at most.
     """
@@ -455,7 +453,7 @@ def found_kinds(found: Segmentation, truth: Truth) -> tuple[list[str], list[floa
 
 
 def faults(trial: Trial, truth: Truth, found: Segmentation) -> list[str]:
-    """What is wrong, by name; empty where all is right."""
+    """Faults by name; none where all is right."""
     wrong: list[str] = []
     kinds, starts = found_kinds(found, truth)
     if kinds != truth.kinds:

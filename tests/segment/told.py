@@ -9,7 +9,6 @@ from tissueid.trial import Event, Segmentation, Trial
 
 
 def simulated(*moves: Move | Hold, seed: int | np.random.Generator = 0, **settings) -> Trial:
-    """A recording of the moves of one log."""
     recipe = Recipe("r", (Log("r", moves),), **settings)
     return as_trials(simulate(recipe, rng=np.random.default_rng(seed)))[0]
 
@@ -20,7 +19,6 @@ def normal(sd: float, like: np.ndarray, seed: int) -> np.ndarray:
 
 
 def divided(time_s, travel_mm, force_N, **options) -> Segmentation:
-    """The segmentation of a recording."""
     return segment(Trial("log", time_s, travel_mm, force_N), options=SegmentOptions(**options))
 
 
@@ -33,7 +31,6 @@ def codes(found: Segmentation) -> set[str]:
 
 
 def flag_of(found: Segmentation, code: str) -> Flag:
-    """The one flag of that code."""
     (flag,) = [one for one in found.flags if one.code == code]
     return flag
 

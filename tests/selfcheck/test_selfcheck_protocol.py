@@ -115,7 +115,7 @@ def of_these(
 
 @pytest.fixture(autouse=True)
 def asked(monkeypatch):
-    """What ``identify`` was asked for; it finds the fit of the factory, with its AR(1) noise."""
+    """The arguments of ``identify``, which finds the fit of the factory, with its AR(1) noise."""
     given: dict[str, Any] = {}
 
     def identify(trials: Sequence[Trial], **options: Any) -> Any:
@@ -192,12 +192,9 @@ def test_what_a_study_says_of_recordings_counts(asked):
     def entry(file: str, **values: Any) -> Entry:
         return Entry(values, (Study.real_path(file),), 1)
 
-    study = Study(
-        "study.toml",
-        about={"only_listed": True},
-        trials=(entry("a.csv", specimen="spleen"), entry("b.csv", specimen="spleen")),
-        exclusions=(entry("b.csv", because="slipped"),),
-    )
+    listed = tuple(entry(file, specimen="spleen") for file in ("a.csv", "b.csv"))
+    left_out = (entry("b.csv", because="slipped"),)
+    study = Study("study.toml", about={"only_listed": True}, trials=listed, exclusions=left_out)
     name, protocol, _ = of_these([trial("a.csv"), trial("b.csv"), trial("c.csv")], study=study)
     assert name == "spleen"
     assert [log.name for log in protocol.logs] == ["a.csv"]

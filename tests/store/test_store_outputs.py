@@ -200,12 +200,8 @@ def whole_sets(out: Path, delays: list[float]) -> int:
     number, last, whole = 1, 0, 0
     environment = os.environ | {"PYTHONPATH": str(WRITER.parents[1])}
     for delay in delays:
-        writer = subprocess.Popen(
-            [sys.executable, str(WRITER), str(out), str(number)],
-            stdout=subprocess.PIPE,
-            text=True,
-            env=environment,
-        )
+        words = [sys.executable, WRITER, out, str(number)]
+        writer = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment)
         finished = int(writer.stdout.readline())
         time.sleep(delay)
         writer.kill()

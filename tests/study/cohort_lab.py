@@ -45,7 +45,7 @@ def doubled(payload: bytes) -> bytes:
 
 
 def threads_there(_: bytes) -> bytes:
-    """How many of seven threads a computation may start."""
+    """Number of threads, of seven, that a computation may start."""
     return str(threads(7)).encode()
 
 

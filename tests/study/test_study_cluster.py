@@ -36,13 +36,9 @@ def free_port() -> int:
 def dask(*args: str) -> subprocess.Popen[bytes]:
     """A process of the cluster, which finds tissueid and the tasks of these tests."""
     paths = os.pathsep.join(map(str, (REPOSITORY, REPOSITORY / "tests", Path(__file__).parent)))
-    return subprocess.Popen(
-        [sys.executable, "-m", "dask", *args, "--no-dashboard"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-        env=os.environ | {"PYTHONPATH": paths},
-    )
+    words = [sys.executable, "-m", "dask", *args, "--no-dashboard"]
+    silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    return subprocess.Popen(words, start_new_session=True, env=os.environ | {"PYTHONPATH": paths}, **silent)
 
 
 def scheduler(port: int) -> subprocess.Popen[bytes]:

@@ -79,14 +79,10 @@ def full_study() -> Study:
     tables: dict[str, dict[str, Any]] = {}
     for item in ITEMS:
         tables.setdefault(item.table, {})[item.keys[-1]] = "said"
-    return Study(
-        "study.toml",
-        about=tables["study"],
-        tip=tables["tip"],
-        calibration=Calibration(tables["calibration"]),
-        specimens={"a": tables["specimen"], "b": tables["specimen"]},
-        trials=(Entry({"file": "x.csv", **tables["trial"]}, ("/x.csv",), 1),),
-    )
+    machine = {"tip": tables["tip"], "calibration": Calibration(tables["calibration"])}
+    trials = (Entry({"file": "x.csv", **tables["trial"]}, ("/x.csv",), 1),)
+    specimens = dict.fromkeys("ab", tables["specimen"])
+    return Study("study.toml", about=tables["study"], **machine, specimens=specimens, trials=trials)
 
 
 def test_a_study_is_graded_by_what_it_says_and_what_is_missing_is_named():

@@ -33,7 +33,6 @@ def started(lab: Path, out: Path) -> subprocess.Popen[str]:
 
 
 def fitted(lab: Path, out: Path) -> Any:
-    """What the same command finds in this process."""
     run("fit", lab, "-o", out, *QUICK, "-q", code={0, 4})
     return numbers_of(out)
 

@@ -235,7 +235,7 @@ def test_a_damaged_frame_file_is_refused_by_name(tmp_path):
 
 
 def found_in(document: dict[str, Any]) -> dict[str, Any]:
-    """What was found of each specimen, but for where its recordings lie."""
+    """Results of each specimen, but for the places of its recordings."""
     return {
         one["specimen"].rsplit("/", 1)[-1]: (one["parameters"], one["nrmsd"], one["n_samples"])
         for one in document["specimens"]

@@ -46,7 +46,6 @@ class Frame:
 
 
 def linear_frame(stiffness_N_per_mm: float) -> Frame:
-    """A spring."""
     return Frame(lambda f: f / stiffness_N_per_mm, lambda _f: 1.0 / stiffness_N_per_mm)
 
 

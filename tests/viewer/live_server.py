@@ -29,8 +29,6 @@ PATIENCE_S = 20.0
 
 @dataclass
 class Live:
-    """A running server and what it shows."""
-
     ring: Ring
     stage: Stage
     access: Access
@@ -100,7 +98,6 @@ def greeted(url: str, **options: Any) -> Iterator[ClientConnection]:
 def frame_of(connection: ClientConnection) -> Frame:
     """The next frame, answered by nobody."""
     data = connection.recv(PATIENCE_S)
-    assert isinstance(data, bytes)
     return read_frame(data)
 
 

@@ -30,7 +30,6 @@ class Session:
 
     @property
     def said(self) -> str:
-        """Everything printed so far."""
         return self.printed.read_text(encoding="utf-8")
 
     def end(self) -> int:

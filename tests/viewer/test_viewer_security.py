@@ -81,7 +81,6 @@ def test_another_machine_needs_the_token_and_is_served_by_none_without():
 
 
 def refused(live: Live, url: str, code: int = 403, **options: object) -> None:
-    """Assert that a handshake is refused."""
     with pytest.raises(InvalidStatus) as status, client(url, **options):
         pass
     assert status.value.response.status_code == code
@@ -133,7 +132,6 @@ CLOSED = [
 
 
 def code_of(connection: ClientConnection) -> int | None:
-    """The code that a connection is closed with."""
     try:
         while True:
             connection.recv(10)

@@ -272,7 +272,6 @@ class Led:
 
     @property
     def height_m(self) -> float:
-        """Place the hand is led to."""
         return float(self.hand.parameters[POINTER + 2])
 
     def press(self) -> None:
