@@ -46,7 +46,7 @@ class Export:
 def _one(write: Callable[..., bytes], **how: object) -> Callable[..., bytes]:
     """A writer of several logs, given one."""
 
-    def written(log: SyntheticLog, *, decimals: Decimals) -> bytes:
+    def written(log: SyntheticLog, *, decimals: Decimals = (5, 5, 5)) -> bytes:
         return write([log], decimals=decimals, **how)
 
     return written
