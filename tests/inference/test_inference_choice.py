@@ -61,7 +61,7 @@ def tried(branches, degree, errors, law=None, sigma_N=1.0, logs=3, badness=0.0):
     noise = SimpleNamespace(sigma_N=sigma_N)
     optimum = SimpleNamespace(point=point, covariance=1e-4 * np.eye(law.times + law.linear), noise=noise)
     system = SimpleNamespace(law=law, logs=[None] * logs)
-    return choice.Tried(branches, degree, optimum, system, np.array(errors), badness)
+    return choice.Tried(optimum, system, np.array(errors), badness)
 
 
 def named(name, errors, sigma_N=1.0):
@@ -188,7 +188,7 @@ def test_the_error_of_what_was_left_out_is_that_of_fits_without_it():
 
 def test_a_branch_faster_than_the_sampling_or_below_the_noise_is_not_resolved():
     ours = identified(handles_of(small_recipe(branches=TWO, logs=LOGS), 1), branches=(2,))
-    one = choice.Tried(2, 0, ours.optimum, ours.system, np.ones(3))
+    one = choice.Tried(ours.optimum, ours.system, np.ones(3))
     assert choice.resolved(one, 0.01)
     assert not choice.resolved(one, 0.1)
 
@@ -202,7 +202,7 @@ def test_a_third_branch_of_one_program_has_to_gain_a_fifth_and_be_shown_by_the_l
     assert choice.shown([plain, much], one_program=True) == [plain, much]
     # a second branch needs no such gain, but to be seen
     one, two = tried(1, 0, base), tried(2, 0, 0.97 * base, badness=0.6)
-    assert choice.shown([one, replace(two, badness=-20.0)], one_program=True)[1].branches == 2
+    assert choice.shown([one, replace(two, badness=-20.0)], one_program=True)[1].law.branches == 2
     for one_program in (True, False):
         assert choice.shown([plain, luck], one_program=one_program) == [plain]
         assert choice.shown([one, two], one_program=one_program) == [one]

@@ -35,7 +35,7 @@ def arrived(
     moving = [_in_motion(one) if one.facts.arrives_mm > 0.0 else one for one in handles]
     starts = (found, handles), identify(moving, None)
     (best, on), (other, at) = sorted(starts, key=lambda start: _cost(start[0]))
-    if (best.law.branches, best.law.degree) != (other.law.branches, other.law.degree):
+    if best.law.order != other.law.order:
         other, _ = identify(at, best)
     if _cost(other) > _cost(best) + DECIDED:
         return best, on

@@ -106,6 +106,11 @@ class ChannelLaw:
         """All of its parameters."""
         return self.times + self.linear
 
+    @property
+    def order(self) -> tuple[int, int]:
+        """Relaxing parts, and degree of K."""
+        return self.branches, self.degree
+
     @cached_property
     def linear_names(self) -> tuple[str, ...]:
         """Names of the linear parameters."""

@@ -61,8 +61,6 @@ class Groups:
 class Tried:
     """A candidate with its optimum and its mean square error on each group that was left out [N^2]."""
 
-    branches: int
-    degree: int
     optimum: Optimum
     system: System
     errors: FloatArray
@@ -78,7 +76,7 @@ class Tried:
         """Name of the law in the grammar."""
         if self.law.model_of is not None:
             return self.law.model_of.name
-        return f"polynomial * {tuple(DEGREES)[self.degree]} * prony:{self.branches}"
+        return f"polynomial * {tuple(DEGREES)[self.law.degree]} * prony:{self.law.branches}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +135,7 @@ def bent_of(chosen: Tried, tried: Sequence[Tried]) -> Bent | None:
     """Static force under a K of one degree more, as far as that leaves it open; ``None`` where it doesn't."""
     force, low, high = _half_way(chosen)
     for one in tried:
-        if (one.branches, one.degree) == (chosen.branches, chosen.degree + 1):
+        if one.law.order == (chosen.law.branches, chosen.law.degree + 1):
             _, lower, upper = _half_way(one)
             # of a K that varies the constant one is a case
             ends = min(lower, low), max(upper, high)
@@ -304,8 +302,8 @@ def tolerated(stderr: Any, count: int) -> Any:
 
 def resolved(one: Tried, step_s: float) -> bool:
     """True where no branch is faster than the sampling, far below the noise, or as fast as another."""
-    point, law, sigma = one.optimum.point, one.system.law, one.optimum.noise.sigma_N
-    if one.branches == 1:
+    point, law, sigma = one.optimum.point, one.law, one.optimum.noise.sigma_N
+    if law.branches == 1:
         return True
     if float(np.exp(point.log_times.min())) < step_s:
         return False
@@ -325,13 +323,14 @@ def shown(tried: Sequence[Tried], *, one_program: bool) -> list[Tried]:
     """
 
     def needed(one: Tried, other: Tried) -> bool:
-        asked = one_program and other.branches in {one.branches, 2}
+        asked = one_program and other.law.branches in {one.law.branches, 2}
         gained = not asked or _gain(one, other)[0] >= BEND
         least = float(chi2.ppf(SHOWN, one.law.freedom - other.law.freedom))
         return gained and other.badness - one.badness >= least
 
     def plainer(other: Tried, one: Tried) -> bool:
-        return other is not one and other.branches <= one.branches and other.degree <= one.degree
+        less, more = other.law, one.law
+        return other is not one and less.branches <= more.branches and less.degree <= more.degree
 
     return [one for one in tried if all(needed(one, other) for other in tried if plainer(other, one))]
 
@@ -418,12 +417,12 @@ def chosen_among(tried: Sequence[Tried]) -> tuple[Tried, tuple[dict[str, Any], .
     best = min(tried, key=lambda one: float(np.log(np.maximum(one.errors, 1e-300)).mean()))
     rows = [(one, *_gain(best, one)) for one in tried]
     good = [row for row in rows if row[0] is best or row[1] <= tolerated(row[2], best.errors.size)]
-    chosen = min(good, key=lambda row: (row[0].law.freedom, row[1], row[0].branches))[0]
+    chosen = min(good, key=lambda row: (row[0].law.freedom, row[1], row[0].law.branches))[0]
     table = tuple(
         {
-            "branches": one.branches, "stiffness_degree": one.degree, "score": -mean, "stderr": error,
-            "chosen": one is chosen, "tau_s": float(np.exp(_first_time(one)[0])),
+            "branches": one.law.branches, "stiffness_degree": one.law.degree, "score": -mean,
+            "stderr": error, "chosen": one is chosen, "tau_s": float(np.exp(_first_time(one)[0])),
         }
-        for one, mean, error in sorted(rows, key=lambda row: (row[0].branches, row[0].degree))
+        for one, mean, error in sorted(rows, key=lambda row: row[0].law.order)
     )  # fmt: skip
     return chosen, table, [one for one, *_ in good]

@@ -171,10 +171,10 @@ class _Fitting:
     def candidate(self, law: ChannelLaw, memory: Memory) -> tuple[System, Optimum]:
         """The best of several starts."""
         system = self.base.under(law)
-        order, whole = (law.branches, law.degree), law.model_of is None
+        whole = law.model_of is None
         fewer = self.known.get((law.branches - 1, law.degree), self.at)
         at = replace(self.at, log_times=fewer.log_times)
-        starts = [self.known[order]] if whole and order in self.known else []
+        starts = [self.known[law.order]] if whole and law.order in self.known else []
         starts += starting_points(system, law, at, whitener_of(system, memory))
         found = list[tuple[float, Optimum]]()
         for start in starts:
@@ -183,7 +183,7 @@ class _Fitting:
             found.append((badness(system, one), one))
         best = min(found, key=itemgetter(0))[1]
         if whole:
-            self.known[order] = best.point
+            self.known[law.order] = best.point
         return system, best
 
     def learn_scatter(self, branches: int, degree: int) -> None:
@@ -246,9 +246,10 @@ def _orders(request: Request) -> list[tuple[int, int]]:
 def _further(request: Request, chosen: Tried, best: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     """Candidates beside a winner at the edge of those tried so far."""
     wanted = []
-    if chosen.branches == 2 or (2, chosen.degree) in best:
+    branches, degree = chosen.law.order
+    if branches == 2 or (2, degree) in best:
         wanted += [(3, 0), (3, 1)]
-    if chosen.degree >= 1 or (chosen.branches, 1) in best:
+    if degree >= 1 or (branches, 1) in best:
         wanted += [(1, 2), (2, 2)]
     return [one for one in wanted if one[0] in request.branches and one[1] in request.degrees]
 
@@ -315,17 +316,17 @@ def _orders_tried(
     while True:
         for branches, degree in orders:
             tick(f"{branches} branch{'es' if branches > 1 else ''}, K of degree {degree}")
-            one = _tried(fitting, fitting.law(branches, degree), memory, None if request.single else groups)
-            tried.append(replace(one, branches=branches, degree=degree))
+            law = fitting.law(branches, degree)
+            tried.append(_tried(fitting, law, memory, None if request.single else groups))
         seen_whole = describing([one for one in tried if resolved(one, fitting.step_s)] or tried[:1])
         if not single:
             seen_whole = shown(seen_whole, one_program=one_program(facts))
         chosen, table, as_good = chosen_among(seen_whole)
-        done = {(one.branches, one.degree) for one in tried}
-        best = tuple((one.branches, one.degree) for one in as_good)
+        done = {one.law.order for one in tried}
+        best = tuple(one.law.order for one in as_good)
         orders = [] if single else [one for one in _further(request, chosen, best) if one not in done]
         if not orders:
-            constant = not single and chosen.degree == 0
+            constant = not single and chosen.law.degree == 0
             return _Orders(chosen, table, best, bent_of(chosen, tried) if constant else None)
 
 
@@ -336,7 +337,7 @@ def _tried(fitting: _Fitting, law: ChannelLaw, memory: Memory, groups: Groups | 
     if groups is not None:
         least = (ROUNDED * float(np.ptp(system.force))) ** 2
         errors = np.maximum(held_out(system, optimum, groups), least)
-    return Tried(law.branches, law.degree, optimum, system, errors, badness(system, optimum))
+    return Tried(optimum, system, errors, badness(system, optimum))
 
 
 def _noise(

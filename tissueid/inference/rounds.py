@@ -98,7 +98,7 @@ def follow_surfaces(
         law, offsets = (found.law, at.log_times, at.linear), found.system.offsets(at).tolist()
         on = zip(current, offsets, strict=True)
         found, current = identify([replace(handle, surface=LawSurface(*law, by)) for handle, by in on])
-        if (found.law.branches, found.law.degree) != (law[0].branches, law[0].degree):
+        if found.law.order != law[0].order:
             # another order is better on these surfaces: it is followed from where it stands
             change, at = float("inf"), found.optimum.point
             continue

@@ -421,7 +421,7 @@ def _remembered(
     if any(tight < min(by, sd) for by, (tight, sd) in zip(far, known, strict=True)):
         return _remembered(*identify_handles(wide, found.request, tick), tick)
     chosen, on = identify_handles(followed.handles, found.request, tick)
-    if again and (chosen.law.branches, chosen.law.degree) != (law.branches, law.degree):
+    if again and chosen.law.order != law.order:
         other = _remembered(chosen, on, tick, again - 1)
         if other.change_sd < ROUGH_SD or followed.change_sd >= ROUGH_SD:
             return other
@@ -528,7 +528,7 @@ def damping_flags(identified: Identified, tissue: TissueEstimate) -> tuple[Flag,
 
 def undecided_flags(identified: Identified) -> tuple[Flag, ...]:
     """Other orders that predict what was left out as well as the chosen one."""
-    others = [one for one in identified.as_good if one != (identified.law.branches, identified.law.degree)]
+    others = [one for one in identified.as_good if one != identified.law.order]
     if not others:
         return ()
     orders = [f"{b}x{d}" for b, d in others]
