@@ -20,9 +20,10 @@ TAU, POWER = 0.3, 0.5
 ONE_BRANCH = ti.FitOptions(branches=1, stiffness_degree=0)
 
 
-def creep(t, tau, p=(0.1, 3.0)):
-    """(1 + t/tau)^-p"""
-    return (1.0 + t / tau) ** -p
+# names of a second branch end in _b2: relaxation_beta is none
+def creep(t, tau, beta=(0.1, 3.0)):
+    """(1 + t/tau)^-beta"""
+    return (1.0 + t / tau) ** -beta
 
 
 def relaxed(t):
@@ -53,7 +54,7 @@ def own():
 
 
 def test_a_function_is_a_law_and_its_truth_is_found(own):
-    for symbol, truth in {"n": 1.5, "c": 2.0, "b0": 6.0, "tau": TAU, "p": POWER}.items():
+    for symbol, truth in {"n": 1.5, "c": 2.0, "b0": 6.0, "tau": TAU, "beta": POWER}.items():
         assert abs(own[symbol].value - truth) < 4.0 * own[symbol].stderr
     assert own["tau"] is own["relaxation_time_s"]
     assert own.result.model.name == "power * constant * creep"
@@ -121,13 +122,13 @@ def test_the_band_holds_the_whole_force_of_sites_that_were_left_out():
 
 def test_a_parameter_that_is_fixed_stays_with_the_law_that_was_chosen_and_the_others_follow(own):
     asked = replace(own.setting.options, model=f"kelvin-voigt | {own.result.model.name}")
-    fixed = replace(own, setting=replace(own.setting, options=asked)).fix(p=0.55, c=2.02)
+    fixed = replace(own, setting=replace(own.setting, options=asked)).fix(beta=0.55, c=2.02)
     assert (fixed.result.model.name, fixed.selection) == (own.result.model.name, ())
-    assert fixed["p"].value == pytest.approx(0.55, rel=1e-4)
+    assert fixed["beta"].value == pytest.approx(0.55, rel=1e-4)
     assert fixed["c"].value == pytest.approx(2.02, rel=1e-4)
     assert fixed["tau"].value > own["tau"].value
     assert fixed.result.nrmsd.range >= own.result.nrmsd.range
-    assert own["p"].value == pytest.approx(POWER, abs=0.03)
+    assert own["beta"].value == pytest.approx(POWER, abs=0.03)
 
 
 def test_a_fixed_time_of_the_paper_s_model_keeps_its_order(datasets):
@@ -184,13 +185,13 @@ def test_of_two_relaxation_times_the_named_one_is_fixed():
 
 def test_what_is_sampled_kept_and_felt_is_one_tissue(own, tmp_path):
     sampled = own.sample(draws=400, seed=3)
-    marginal = sampled["p"]
+    marginal = sampled["beta"]
     low, high = marginal.interval()
     assert low <= POWER <= high
     assert (low, high) == marginal.uncertainty.ci95_total
     inner = marginal.interval(0.5)
     assert low < inner[0] < marginal.median < inner[1] < high
-    assert marginal.median == pytest.approx(sampled.parameter("p").value, rel=1e-2)
+    assert marginal.median == pytest.approx(sampled.parameter("beta").value, rel=1e-2)
     path = ti.Bundle(own, sampled).save(tmp_path / "own.h5")
     bundle = ti.load_bundle(path)
     assert bundle.contact_model().name == own.result.model.name

@@ -127,6 +127,8 @@ NEAR_END = 1e-3
 SLOW, FEWEST_SLOW = 0.5, 0.02
 #: A standard error below this is the rounding of none.
 BOUND_ROUNDING = 1e-12
+#: Names of a branch's time and viscosity, before its number.
+TIME, VISCOSITY = "relaxation_time_s", "viscosity_N_s_per_mm"
 #: Fractions of the fitted depth at which viscosity is quoted where K varies, and a curve is judged.
 REFERENCE_DEPTH, CURVE_DEPTHS = 0.5, (0.25, 0.5, 0.75, 1.0)
 
@@ -238,17 +240,15 @@ def _branch_estimates(
     fitted: _Fitted, branch: int, profiled: tuple[ProfileInterval, dict[str, list[float]]] | None
 ) -> list[Estimate]:
     """Stiffness or ratio, relaxation time, further shapes and viscosity of one branch."""
-    model, suffix = fitted.model, branch_suffix(branch)
-    names = model.parameter_names
-    branched = [k for k, name in enumerate(names) if name.startswith(("stiffness", "relaxation"))]
-    own = [k for k in branched if (names[k].endswith(suffix) if suffix else "_b" not in names[k])]
-    curve = [k for k in own if names[k].startswith("stiffness")]
+    model, part = fitted.model, fitted.model.parts[branch]
+    curve = list(range(part.stiffness.start, part.stiffness.stop))
     depths = np.array(CURVE_DEPTHS) * model.depth_mm
     estimates = []
     if curve:
         estimates += _alike(fitted, curve, lambda theta: model.stiffness(theta, depths)[branch])
-    for k in own[len(curve) :]:
-        timed = profiled if names[k].startswith("relaxation_time") else None
+    # a ratio stands between, where there is one; the first shape is the time
+    for k in range(part.stiffness.stop, part.shapes.stop):
+        timed = profiled if k == part.shapes.start else None
         estimates.append(fitted.estimate(k) if timed is None else _time_estimate(fitted, k, *timed))
     if model.viscous:
         estimates.append(_viscosity(fitted, curve, branch))
@@ -267,7 +267,7 @@ def _viscosity(fitted: _Fitted, curve: list[int], branch: int) -> Estimate:
     used = np.where(np.outer(slope, slope) != 0.0, block, 0.0)
     eta, eta_stderr = stiffness * tau, float(np.sqrt(max(slope @ used @ slope, 0.0)))
     symbol = "eta" if branch == 0 else f"eta{branch + 1}"
-    spec = ParameterSpec(f"viscosity_N_s_per_mm{suffix}", symbol, "N s/mm", 0.0, np.inf, "viscosity K tau")
+    spec = ParameterSpec(f"{VISCOSITY}{suffix}", symbol, "N s/mm", 0.0, np.inf, "viscosity K tau")
     return _estimate(spec, eta, eta_stderr, _verdict_of(eta, eta_stderr))
 
 
@@ -301,12 +301,12 @@ def without_exchanged(parameters: Sequence[Estimate]) -> tuple[Estimate, ...]:
     for slow in parameters:
         # open on both sides there is no relaxation
         if slow.detail.get("open_high") and not slow.detail["open_low"]:
-            suffix = slow.name.removeprefix("relaxation_time_s")
+            suffix = slow.name.removeprefix(TIME)
             own = [name for name in names if (name.endswith(suffix) if suffix else "_b" not in name)]
             curve = [name for name in own if name.startswith("stiffness")]
             kept = tuple(f"static_{power}_" for power in (1, 2, 3) if power > len(curve))
             static = [name for name in names if name.startswith("static") and not name.startswith(kept)]
-            taken |= {*curve, *static, f"viscosity_N_s_per_mm{suffix}"}
+            taken |= {*curve, *static, f"{VISCOSITY}{suffix}"}
     unknown = partial(replace, value=None, stderr=None, identified=False)
     return tuple(unknown(one) if one.name in taken else one for one in parameters)
 

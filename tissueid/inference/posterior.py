@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, evenly
 from tissueid.documents.identification import SamplerReport
 from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.diagnostics import diagnose
 from tissueid.inference.engine import Identified, refit
-from tissueid.inference.estimates import MAX_WIDTH, without_exchanged
+from tissueid.inference.estimates import MAX_WIDTH, TIME, VISCOSITY, without_exchanged
 from tissueid.inference.optimum import ON_WALL, nearest_inside, root_of
 from tissueid.inference.reported import (
     CENTRAL_95,
@@ -53,8 +53,6 @@ WORSE = 1.1
 MAX_WIDTH_VISCOSITY = 2.0
 #: An effect that can't be negative may be none where the low end of its draws is within this of their median.
 NONE_SHARE = 0.1
-#: Names of a branch's time and viscosity, before its number.
-TIME, VISCOSITY = "relaxation_time_s", "viscosity_N_s_per_mm"
 
 
 @dataclass(frozen=True, slots=True)
@@ -373,4 +371,4 @@ def _assembled(
 
 def _kept(theta: FloatArray) -> FloatArray:
     """The draws that a bundle and a report keep, spread over all."""
-    return theta[np.linspace(0, theta.shape[0] - 1, min(KEPT_DRAWS, theta.shape[0])).astype(np.int64)]
+    return theta[evenly(len(theta), KEPT_DRAWS)]

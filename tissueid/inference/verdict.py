@@ -10,7 +10,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.documents.identification import MisfitAlarm, NoiseFit
 from tissueid.flags import Flag
-from tissueid.inference.estimates import TissueEstimate
+from tissueid.inference.estimates import VISCOSITY, TissueEstimate
 from tissueid.inference.window import FittedLog, one_program, one_speed
 from tissueid.measured.relaxation import WINDOW_SHARE
 from tissueid.result import Estimate, Nrmsd, SpecimenFit, TrialFit
@@ -251,7 +251,6 @@ _PLACES: Mapping[str, str] = {
     "early hold": "early in holds",
     "ramp start": "where ramps start",
 }
-VISCOSITY = "viscosity_N_s_per_mm"
 
 
 def posterior_flags(posterior: Posterior) -> tuple[Flag, ...]:
