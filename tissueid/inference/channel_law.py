@@ -25,7 +25,7 @@ from tissueid.model.channels import ChannelModel, DampedModel, minimum_on_unit
 from tissueid.model.grammar import known_laws
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw
-from tissueid.signal_noise import chain_breaks, white_noise_sd
+from tissueid.signal_noise import Lines, chain_breaks, white_noise_sd
 from tissueid.trial import Segmentation, Trial, contact_frame
 
 #: Coefficients below this share of the largest of their polynomial are rounding.
@@ -493,9 +493,5 @@ def _slopes(time: FloatArray, depth: FloatArray) -> FloatArray:
         return np.full(size, whole)
     half = max(HALF_SAMPLES, int(HALF_SHARE * size))
     at = np.arange(size)
-    low, high = np.maximum(at - half, 0), np.minimum(at + half + 1, size)
-    sums = [np.concatenate([[0.0], np.cumsum(one)]) for one in (t, x, t * t, t * x)]
-    st, sx, stt, stx = (one[high] - one[low] for one in sums)
-    count = high - low
-    spread = stt - st * st / count
-    return np.asarray(np.divide(stx - st * sx / count, spread, out=np.zeros(size), where=spread > 0.0))
+    slope, _ = Lines(t, x).slope(np.maximum(at - half, 0), np.minimum(at + half + 1, size))
+    return slope

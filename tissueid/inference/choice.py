@@ -19,6 +19,7 @@ from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.optimum import Optimum, covariance_of, minimise, nearest_in_cone, whitener_of
 from tissueid.inference.system import System
 from tissueid.inference.window import FOLDS, FittedLog
+from tissueid.measured.spread import clusters
 from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import DEGREES
 from tissueid.model.yardstick import YARDSTICK
@@ -184,14 +185,10 @@ def _first_time(one: Tried) -> tuple[float, float]:
 
 
 def _clusters(values: Sequence[float]) -> IntArray:
-    """Values within a factor of each other, as groups."""
-    order = np.argsort(values)
+    """Group of each value, of those within a factor of each other."""
     out = np.zeros(len(values), dtype=np.int64)
-    group, start = 0, values[int(order[0])]
-    for i in order.tolist():
-        if values[i] > ALIKE * start:
-            group, start = group + 1, values[i]
-        out[i] = group
+    for group, members in enumerate(clusters(values, ALIKE)):
+        out[members] = group
     return out
 
 

@@ -22,7 +22,7 @@ from tissueid.flags import Flag
 from tissueid.inference.choice import Rival
 from tissueid.inference.estimates import MAX_WIDTH, TissueEstimate, width_of
 from tissueid.measured import TIMES_S
-from tissueid.measured.geometry import Geometry
+from tissueid.measured.geometry import KPA_PER_MPA, Geometry
 from tissueid.measured.spectrum import HoldNumbers
 from tissueid.model import functionals
 from tissueid.model.channels import ChannelModel
@@ -243,7 +243,6 @@ def quoted_numbers(
 
 #: Depths at which a modulus is given, as shares of the fitted depth.
 SHARES = (0.5, 1.0)
-KPA_PER_MPA = 1000.0
 #: Moduli at rest and at once.
 MODULI = ("modulus_equilibrium", "modulus_instantaneous")
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, evenly
 from tissueid.documents.identification import BudgetRow, PriorRow, Source
 from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.engine import Identified
@@ -157,8 +157,7 @@ def predictive_bands(
 ) -> dict[tuple[str, str | None], FloatArray]:
     """The 95 % predictive band of every trial: low, middle, high [N] at its curve, (3, m)."""
     system = target.system
-    rows = np.linspace(0, len(vectors) - 1, min(len(vectors), BAND_DRAWS)).astype(np.int64)
-    force = target.forces(vectors[rows])
+    force = target.forces(vectors[evenly(len(vectors), BAND_DRAWS)])
     change = force - np.median(force, axis=0)
     bands = {}
     for i, trial in enumerate(fit.trials):
@@ -318,7 +317,7 @@ def half_width(
     sd.
     """
     rng, data = np.random.default_rng(SEED), log.data
-    theta = draws[np.linspace(0, len(draws) - 1, min(CURVES, len(draws))).astype(np.int64)]
+    theta = draws[evenly(len(draws), CURVES)]
     shift = rng.normal(0.0, handle.contact_sd_mm, len(theta))
     own, effects = fitted.identified.optimum.point.own, fitted.identified.system.effects
 

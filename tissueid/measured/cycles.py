@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from msgspec import structs
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, evenly
 from tissueid.documents.quantities import AtDepth, Cycle, CycleKind, Measure
 from tissueid.trial import Segmentation, Trial, contact_frame
 
@@ -155,7 +155,7 @@ def _residual(
 def _speed_squared(time: FloatArray, depth: FloatArray) -> float:
     """Integral of v^2 dt of one direction [mm^2/s], from chords."""
     count = min(STRETCHES, max((time.size - 1) // FEWEST_SAMPLES, 1))
-    knots = np.unique(np.linspace(0, time.size - 1, count + 1).astype(int))
+    knots = evenly(time.size, count + 1)
     span, rise = np.diff(time[knots]), np.diff(depth[knots])
     return float((rise[span > 0.0] ** 2 / span[span > 0.0]).sum())
 

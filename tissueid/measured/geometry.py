@@ -15,7 +15,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.documents.measured import MeasuredModulus
 from tissueid.documents.quantities import Assumptions
-from tissueid.model.moduli import FORMULAS, Contact, Indenter, contact_of, formulas_for
+from tissueid.model.moduli import FORMULAS, MOST_A_OVER_R, Contact, Indenter, contact_of, formulas_for
 from tissueid.trial import Segmentation, Trial, contact_frame
 
 #: Soft wet tissue hardly changes its volume in seconds.
@@ -91,8 +91,6 @@ class TipOf:
 
 
 KPA_PER_MPA = 1000.0
-#: Contact radius over that of a sphere, in every law.
-MOST_A_OVER_R = 0.4
 #: Depths at which the loading is compared with the formula.
 DEPTHS = 40
 
