@@ -26,7 +26,7 @@ from tissueid.inference.logs import NO_CONTACT, LogHandle
 from tissueid.inference.posterior import PosteriorOptions, with_posterior
 from tissueid.inference.prior import calibration_priors
 from tissueid.inference.specimen import FitOptions, FittedSpecimen, fit_with_state
-from tissueid.inference.verdict import unsampled, without_posterior
+from tissueid.inference.verdict import unsampled
 from tissueid.manifest import Study
 from tissueid.measured.geometry import stated_geometry
 from tissueid.model.grammar import KELVIN_VOIGT, candidates, unused_priors
@@ -204,7 +204,7 @@ def with_draws(
         )
     except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
         # the fit stands without its posterior; what is lost is said
-        return unsampled(fitted.fit, "no posterior could be sampled", (without_posterior(error),))
+        return unsampled(fitted.fit, error)
 
 
 def _identity(

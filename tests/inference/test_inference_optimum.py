@@ -11,9 +11,10 @@ from scipy.optimize import minimize
 
 from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.engine import refit
+from tissueid.inference.law import bernstein
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import _factor, covariance_of, minimise, nearest_in_cone, prior_cost
-from tissueid.inference.prior import Scatter, bernstein, calibration_priors, prior_rows, suited, time_bounds
+from tissueid.inference.prior import Scatter, calibration_priors, prior_rows, suited, time_bounds
 from tissueid.inference.system import SHAPE, Effects
 from tissueid.manifest import Calibration, FrameCurve
 from tissueid.model.base import ContactPath

@@ -196,12 +196,13 @@ def test_an_interval_reaches_to_logs_fitted_alone_where_they_have_it_elsewhere(p
 
 def test_a_fit_without_draws_keeps_its_values_and_identifies_none() -> None:
     fit = specimen_fit()
-    flag = Flag("sampler_not_converged", "too few draws")
-    bare = verdict.unsampled(fit, "no posterior could be sampled", (flag,))
+    bare = verdict.unsampled(fit, ValueError("too few draws"))
     assert [one.value for one in bare.parameters] == [one.value for one in fit.parameters]
     assert not any(one.identified for one in bare.parameters)
+    words = "no posterior could be sampled"
+    flag = Flag("sampler_not_converged", f"{words}: standard errors only", {"reason": "too few draws"})
     assert bare.flags == (*fit.flags, flag)
-    assert bare.parameters[0].detail["withheld"] == "no posterior could be sampled"
+    assert bare.parameters[0].detail["withheld"] == words
 
 
 def test_what_is_withheld_is_not_identified_and_says_why() -> None:

@@ -8,9 +8,10 @@ from inference_cases import draw, handles_for, handles_of, identified, small_rec
 from scipy.stats import multivariate_normal
 
 from tissueid.inference.conditional import conditional, holding
+from tissueid.inference.law import bernstein
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import Noise
-from tissueid.inference.prior import bernstein, coordinate, quantile
+from tissueid.inference.prior import coordinate, quantile
 from tissueid.inference.reported import log_theta_prior, prior_table
 from tissueid.inference.sampling import sample
 from tissueid.inference.target import NormalTarget, SpecimenTarget

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.inference.law import Path, Slopes, passive_rows, relaxation_states
+from tissueid.inference.law import Path, Slopes, bernstein, passive_rows, relaxation_states
 from tissueid.inference.window import FittedLog, LogData
 from tissueid.model.channels import ChannelModel, DampedModel, minimum_on_unit
 from tissueid.model.grammar import known_laws
@@ -50,6 +50,11 @@ class Block:
     def size(self) -> int:
         """Number of parameters."""
         return int(self.at.stop - self.at.start)
+
+    @property
+    def bernstein(self) -> FloatArray:
+        """Matrix from coefficients to those of Bernstein's polynomials on [0, 1]; to themselves of others."""
+        return bernstein(self.size) if self.polynomial else np.eye(self.size)
 
 
 @dataclass(frozen=True)

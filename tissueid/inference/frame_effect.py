@@ -120,9 +120,7 @@ def _corrected(
     system, point, index = fit
     contact = handle.segmentation.contact
     assert contact is not None  # noqa: S101 -- a handle has a fitted log
-    alone = system.of([blocks_of(handle, log, whole=True)], [index])
-    own = replace(point, own=point.own[index : index + 1])
-    alone.follow(own)
+    alone, _ = system.alone(blocks_of(handle, log, whole=True), index, point)
     samples = log.data.time_s[int(log.inserted) :]
     expected = alone.guess[np.searchsorted(alone.logs[0].time_s, samples)]
     measured = handle.segmentation.force_sign * (trial.force_N - contact.baseline_N)

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
+from scipy.special import comb
 
 from tissueid.arrays import FloatArray
 
@@ -88,6 +89,13 @@ def weighted(columns: FloatArray, linear: FloatArray) -> FloatArray:
     if linear.ndim == 1:
         return np.asarray(linear @ columns)
     return np.asarray((linear[:, None] @ columns.swapaxes(0, 1))[:, 0])
+
+
+@lru_cache
+def bernstein(powers: int) -> FloatArray:
+    """Matrix from monomial coefficients on [0, 1] to Bernstein coefficients."""
+    k = np.arange(powers)
+    return np.asarray(comb(k[:, None], k) / comb(powers - 1, k))
 
 
 @lru_cache

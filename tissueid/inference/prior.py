@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
-from scipy.special import comb, ndtr, ndtri
+from scipy.special import ndtr, ndtri
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.channel_law import ChannelLaw
@@ -35,17 +34,6 @@ class Scatter:
     gain: float = 0.1  # of ln gain
     shape: float = 0.02  # of ln gain at lesser depths beside that at the largest
     time: float = 0.05  # of ln of the times of relaxation
-
-
-@lru_cache
-def bernstein(powers: int) -> FloatArray:
-    """Matrix from monomial coefficients on [0, 1] to Bernstein coefficients."""
-    degree = powers - 1
-    out = np.zeros((powers, powers))
-    for i in range(powers):
-        for k in range(i + 1):
-            out[i, k] = comb(i, k) / comb(degree, k)
-    return out
 
 
 def time_bounds(system: System) -> tuple[float, float]:
@@ -71,8 +59,7 @@ def _linear_rows(law: ChannelLaw, largest: FloatArray, force: float) -> FloatArr
     """Rows of the linear parameters around 0, which follow the largest states."""
     rows = np.zeros((law.linear, law.linear))
     for one in law.blocks:
-        inner = bernstein(one.size) if one.polynomial else np.eye(one.size)
-        rows[one.at, one.at] = inner / (WEAK_FACTOR * force)
+        rows[one.at, one.at] = one.bernstein / (WEAK_FACTOR * force)
         if one.branch >= 0:
             rows[one.at, one.at] *= largest[one.branch]
     return rows

@@ -19,7 +19,7 @@ from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.engine import Identified
 from tissueid.inference.estimates import REFERENCE_DEPTH
 from tissueid.inference.optimum import minimise
-from tissueid.inference.prior import bernstein, prior_rows, stated_shapes, time_bounds
+from tissueid.inference.prior import prior_rows, stated_shapes, time_bounds
 from tissueid.inference.system import MACHINE, Effects, Point, System
 from tissueid.inference.target import SpecimenTarget
 from tissueid.model.base import ContactPath, branch_suffix
@@ -211,7 +211,7 @@ def _linear(target: SpecimenTarget, theta: FloatArray) -> list[PriorRow]:
     states = law.largest_states(point.log_times, target.system.path(target.system.travel))
     for block in law.blocks:
         # of each power's coefficient where those of Bernstein's polynomials have a standard deviation of 1
-        powers = np.linalg.inv(bernstein(block.size)) if block.polynomial else np.eye(block.size)
+        powers = np.linalg.inv(block.bernstein)
         for power, at in enumerate(range(block.at.start, block.at.stop)):
             k, spec = specs[law.linear_names[at]]
             if spec.name in priors.linear:
@@ -294,8 +294,7 @@ def log_theta_prior(target: SpecimenTarget, theta: FloatArray) -> FloatArray:
             state = np.exp(np.interp(np.log(tau_s), target._ln_tau, target._ln_state))  # noqa: SLF001
         elif one.branch >= 0:
             state = state * largest[one.branch]
-        rows = bernstein(one.size) if one.polynomial else np.eye(one.size)
-        value -= 0.5 * ((linear[:, one.at] @ rows.T) ** 2).sum(axis=1) * (state / spread) ** 2
+        value -= 0.5 * ((linear[:, one.at] @ one.bernstein.T) ** 2).sum(axis=1) * (state / spread) ** 2
         value += one.size * np.log(state)
     for j, given in stated_shapes(law, priors).items():
         value -= 0.5 * ((logs[:, j] - math.log(given.median)) / given.sd_ln) ** 2

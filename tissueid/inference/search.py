@@ -15,7 +15,7 @@ from scipy.optimize import nnls
 from tissueid.arrays import FloatArray
 from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.noise import Whitener
-from tissueid.inference.prior import bernstein, time_bounds
+from tissueid.inference.prior import time_bounds
 from tissueid.inference.system import Point, System
 
 #: Nodes of ln tau, pairs from which triples are looked for, and starting points of each number of branches.
@@ -79,7 +79,7 @@ def _generators(law: ChannelLaw) -> FloatArray:
     """Matrix from non-negative coefficients to linear parameters."""
     out = np.zeros((law.linear, law.linear))
     for one in law.blocks:
-        out[one.at, one.at] = np.linalg.inv(bernstein(one.size)) if one.polynomial else np.eye(one.size)
+        out[one.at, one.at] = np.linalg.inv(one.bernstein)
     return out
 
 

@@ -171,9 +171,7 @@ def force_along(
 ) -> FloatArray:
     """Modelled force of the load channel at every sample of one log, (n,) [N]."""
     blocks = blocks_of(handle, log, whole=True)
-    system = identified.system.of([blocks], [index])
-    own = replace(point, own=point.own[index : index + 1])
-    system.follow(own)
+    system, own = identified.system.alone(blocks, index, point)
     force = system.recorded(system.tip_force(own)[0], own.machine)
     return np.asarray(force[np.searchsorted(blocks.time_s, log.data.time_s)])
 

@@ -197,6 +197,12 @@ class System:
         law = self.law.along(tuple(numbers))
         return System(logs, law, self.depth_mm, self.effects, give=self.give)
 
+    def alone(self, blocks: Blocks, number: int, point: Point) -> tuple[System, Point]:
+        """One of the logs, in blocks that are given, and its part of a point, which the frame follows."""
+        system, own = self.of([blocks], [number]), replace(point, own=point.own[number : number + 1])
+        system.follow(own)
+        return system, own
+
     def _remembered(self) -> Remembered | None:
         """Response of the observations to the law whose surfaces the paths follow, where it is this one."""
         each = [one.response for one in self.logs]

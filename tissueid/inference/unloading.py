@@ -42,9 +42,7 @@ def _missed(
     spread = float(np.ptp(blocks.force_N))
     if not after.any() or spread <= 0.0:
         return None
-    system = identified.system.of([blocks], [index])
-    own = replace(point, own=point.own[index : index + 1])
-    system.follow(own)
+    system, own = identified.system.alone(blocks, index, point)
     # a law without adhesion lets go where its convolution would pull
     missed = blocks.force_N - np.maximum(system.predict(own), 0.0)
     return missed[after] / spread, blocks.count[after].astype(np.float64)

@@ -235,11 +235,13 @@ def withheld(
     return kept, (flag,)
 
 
-def unsampled(fit: SpecimenFit, why: str, flags: tuple[Flag, ...]) -> SpecimenFit:
-    """A fit without a posterior: its values stand without intervals, and none is called identified."""
+def unsampled(fit: SpecimenFit, error: Exception) -> SpecimenFit:
+    """A fit whose posterior could not be sampled: values without intervals, none identified, and why."""
     names = tuple(one.name for one in fit.parameters if one.value is not None)
+    why = "no posterior could be sampled"
     parameters, _ = withheld(fit.parameters, names, why)
-    return replace(fit, parameters=parameters, flags=(*fit.flags, *flags))
+    flag = Flag("sampler_not_converged", f"{why}: standard errors only", {"reason": str(error)})
+    return replace(fit, parameters=parameters, flags=(*fit.flags, flag))
 
 
 #: Widths of the total over the statistical interval of the viscosity from which the machine dominates.
@@ -278,12 +280,6 @@ def _misfit(alarm: MisfitAlarm | None) -> list[Flag]:
     count = f"{len(raised)} of {len(alarm.checks)} checks"
     words = f"the residual contradicts the model {where} ({count}): no interval holds"
     return [Flag("misfit", words, {"checks": [check.name for check in raised]})]
-
-
-def without_posterior(error: Exception) -> Flag:
-    """Remark on a fit whose posterior could not be sampled: its numbers stand, with standard errors."""
-    words = "no posterior could be sampled: standard errors only"
-    return Flag("sampler_not_converged", words, {"reason": str(error)})
 
 
 def _machine(posterior: Posterior) -> list[Flag]:

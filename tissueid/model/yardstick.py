@@ -30,13 +30,9 @@ INSIDE, OUTSIDE = 4, 3
 
 
 @lru_cache
-def _increments(count: int) -> FloatArray:
+def _increments() -> FloatArray:
     """Powers of u, constant first, of curves from 0 to 1 whose non-negative sums are what increases."""
-    rows = np.zeros((count, count + 1))
-    for first in range(1, count + 1):
-        for k in range(first, count + 1):
-            rows[first - 1] += _bernstein(count)[k]
-    return rows
+    return np.array([_bernstein(INSIDE)[first:].sum(axis=0) for first in range(1, INSIDE + 1)])
 
 
 @lru_cache
@@ -76,12 +72,12 @@ class Increasing:
     def basis(self, depth_mm: FloatArray, *_: Any) -> FloatArray:
         """Parts, each from 0 to 1 at the largest depth."""
         u = np.asarray(depth_mm) / self.depth_mm
-        return np.array([polyval(u, row) for row in _increments(INSIDE)])
+        return np.array([polyval(u, row) for row in _increments()])
 
     def slope(self, depth_mm: FloatArray, *_: Any) -> FloatArray:
         """Their derivatives [1/mm]."""
         u = np.asarray(depth_mm) / self.depth_mm
-        return np.array([polyval(u, polyder(row)) for row in _increments(INSIDE)]) / self.depth_mm
+        return np.array([polyval(u, polyder(row)) for row in _increments()]) / self.depth_mm
 
 
 @dataclass(frozen=True)
@@ -144,7 +140,7 @@ class Yardstick(ChannelModel):
         own, stiffness = np.zeros(INSIDE + 1), np.zeros(OUTSIDE)
         weights = theta[self.parts[branch].stiffness]
         if branch < len(self.inside_s):
-            own[:] = (weights @ _increments(INSIDE)) / self.depth_mm ** np.arange(INSIDE + 1.0)
+            own[:] = (weights @ _increments()) / self.depth_mm ** np.arange(INSIDE + 1.0)
             stiffness[0] = 1.0
         else:
             own[1] = 1.0
