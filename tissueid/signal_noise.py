@@ -73,6 +73,19 @@ def _steps_of_their_own(steps: FloatArray) -> FloatArray:
     return np.asarray(steps[(steps > 0.0) & ~inside & ~corner])
 
 
+def robust_sd(values: FloatArray) -> float:
+    """Standard deviation of normal values about 0, by their median size."""
+    return NORMAL_SD_OVER_MEDIAN * float(np.median(np.abs(values)))
+
+
+def off_chords(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Values off the lines between their neighbours, (n - 2,), and the shares of these lines passed there."""
+    step = np.diff(time_s)
+    span = step[:-1] + step[1:]
+    share = np.divide(step[:-1], span, out=np.full(span.size, 0.5), where=span > 0.0)
+    return values[1:-1] - values[:-2] * (1.0 - share) - values[2:] * share, share
+
+
 def white_noise_sd(time_s: FloatArray, values: FloatArray, *, fewest: int = 1) -> float:
     """Standard deviation of the white part of a signal's noise, in its unit; 0 below three samples.
 
@@ -80,17 +93,14 @@ def white_noise_sd(time_s: FloatArray, values: FloatArray, *, fewest: int = 1) -
     """
     if values.size < 3:
         return 0.0
-    step = np.diff(time_s)
-    span = step[:-1] + step[1:]
-    share = np.divide(step[:-1], span, out=np.full(span.size, 0.5), where=span > 0.0)
-    off = values[1:-1] - values[:-2] * (1.0 - share) - values[2:] * share
+    off, share = off_chords(time_s, values)
     off /= np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
-    estimates = [NORMAL_SD_OVER_MEDIAN * float(np.median(np.abs(off)))]
+    estimates = [robust_sd(off)]
+    step = np.diff(time_s)
     typical = np.median(step)
     if values.size >= 12 and float(np.mean(np.abs(step - typical) <= EQUAL_STEP * typical)) > 0.9:
         # few samples on a curved ramp: the fourth difference is blind to a cubic
-        fourth = np.diff(values, n=4) / np.sqrt(FOURTH_DIFFERENCE_VARIANCE)
-        estimates.append(NORMAL_SD_OVER_MEDIAN * float(np.median(np.abs(fourth))))
+        estimates.append(robust_sd(np.diff(values, n=4) / np.sqrt(FOURTH_DIFFERENCE_VARIANCE)))
     return max(min(estimates), quantum(values, fewest=fewest) / float(np.sqrt(12.0)))
 
 
@@ -162,8 +172,7 @@ def running_median(values: FloatArray) -> FloatArray:
     """Median of :data:`MEDIAN_SAMPLES` samples about each; ends are repeated."""
     half = MEDIAN_SAMPLES // 2
     padded = np.pad(values, half, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, MEDIAN_SAMPLES)
-    return np.asarray(np.median(windows, axis=1))
+    return np.asarray(np.median(sliding_window_view(padded, MEDIAN_SAMPLES), axis=1))
 
 
 #: A clock is coarser than the sampling where so many rows repeat the time of the row before.

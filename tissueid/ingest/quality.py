@@ -13,7 +13,7 @@ from tissueid.digits import clock_start
 from tissueid.flags import Flag
 from tissueid.ingest.broken_rows import WHOLE_FROM, jump
 from tissueid.ingest.header import stated
-from tissueid.signal_noise import NORMAL_SD_OVER_MEDIAN, bridged, dropouts, quantum, white_noise_sd
+from tissueid.signal_noise import bridged, dropouts, off_chords, quantum, robust_sd, white_noise_sd
 
 _FEW_LEVELS = 64
 _SAMPLES_PER_LEVEL = 10
@@ -198,8 +198,7 @@ def _alone(time_s: FloatArray, values: FloatArray, motion: FloatArray | None) ->
     if values.size < 2 * REACH or span == 0.0:
         return []
     off = values[1:-1] - 0.5 * (values[:-2] + values[2:])
-    sampled = np.abs(off[:: max(1, off.size // _SAMPLED)])
-    noise = NORMAL_SD_OVER_MEDIAN * float(np.median(sampled)) / _CHORD_SD
+    noise = robust_sd(off[:: max(1, off.size // _SAMPLED)]) / _CHORD_SD
     np.abs(off, out=off)
     candidates = np.flatnonzero(off > max(FAR_SHARE * span, FAR_SD * noise)) + 1
     # a spike lifts its two neighbours' distances as well
@@ -218,8 +217,7 @@ def _distance(time_s: FloatArray, values: FloatArray, i: int, least: float) -> f
     if i - low < 3 or high - i < 4:
         return None
     t, y, k = time_s[low:high] - time_s[i], values[low:high].copy(), i - low
-    steps = np.diff(t)
-    if (steps <= 0.0).any():
+    if (np.diff(t) <= 0.0).any():
         return None
 
     def at(one: int, other: int) -> float:
@@ -232,9 +230,8 @@ def _distance(time_s: FloatArray, values: FloatArray, i: int, least: float) -> f
         return None
     # the sample replaced by its neighbours' word: is the rest smooth?
     y[k] = at(k - 1, k + 1)
-    share = steps[:-1] / (steps[:-1] + steps[1:])
-    rest = np.abs(y[1:-1] - (1.0 - share) * y[:-2] - share * y[2:])
-    noise = NORMAL_SD_OVER_MEDIAN * float(np.median(np.delete(rest, k - 1))) / _CHORD_SD
+    rest = np.abs(off_chords(t, y)[0])
+    noise = robust_sd(np.delete(rest, k - 1)) / _CHORD_SD
     quiet = float(rest.max()) <= SMOOTH_SHARE * abs(off) and abs(off) > FAR_SD * noise
     return off if quiet else None
 

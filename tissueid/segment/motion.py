@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.signal_noise import FEWEST_CHANGES, NORMAL_SD_OVER_MEDIAN, quantum, white_noise_sd
+from tissueid.signal_noise import FEWEST_CHANGES, off_chords, quantum, robust_sd, white_noise_sd
 
 #: Samples on each side of a corner that place it.
 CORNER_SAMPLES = 200
@@ -278,16 +278,13 @@ def _timing_noise(time_s: FloatArray, depth_mm: FloatArray, moving: NDArray[np.b
 
     A change of the distance from the line between neighbours is blind to a bend.
     """
-    step = np.diff(time_s)
-    span = step[:-1] + step[1:]
-    if int(moving.sum()) < FEWEST_FOR_SPREAD or float(span.min()) <= 0.0:
+    if int(moving.sum()) < FEWEST_FOR_SPREAD or (time_s[2:] <= time_s[:-2]).any():
         return 0.0
-    share = step[:-1] / span
-    off = depth_mm[1:-1] - depth_mm[:-2] * (1.0 - share) - depth_mm[2:] * share
-    change = np.abs(np.diff(off))[moving[1:-2] & moving[2:-1]]
+    off, _ = off_chords(time_s, depth_mm)
+    change = np.diff(off)[moving[1:-2] & moving[2:-1]]
     if change.size < FEWEST_FOR_SPREAD:
         return 0.0
-    return NORMAL_SD_OVER_MEDIAN * float(np.median(change)) / float(np.sqrt(THIRD_DIFFERENCE_VARIANCE))
+    return robust_sd(change) / float(np.sqrt(THIRD_DIFFERENCE_VARIANCE))
 
 
 def _held_step(depth_mm: FloatArray, moving: NDArray[np.bool_]) -> float:

@@ -18,7 +18,7 @@ from tissueid.segment.memory import largest_ratio, long_run_ratio, quiet_stretch
 from tissueid.segment.motion import Path, Piece, leaves_line, pieces, quickens
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.phases import Surface, name_phases, settled
-from tissueid.segment.rupture import rupture_flags, ruptures
+from tissueid.segment.rupture import STRAIGHT_SHARE, rupture_flags, ruptures
 from tissueid.segment.signs import drift_in_air, signs
 from tissueid.signal_noise import FEWEST_CHANGES, bridged, dropouts, white_noise_sd, without_spikes
 from tissueid.trial import RENDERED, Contact, Event, Phase, Protocol, Segmentation, Trial
@@ -72,8 +72,6 @@ def _starting(path: Path, phase: Phase, at: int) -> Phase:
 
 #: Fewest samples with which there is anything to divide.
 FEWEST_SAMPLES = 5
-#: Share of a move that must follow its line for its end to be told from its stop.
-STRAIGHT_SHARE = 0.6
 #: Shorter moves can't spare a sample on which the force still rises.
 FEWEST_STRAIGHT = 50
 #: Share of the samples before contact that are air, for all that its place is not known.
