@@ -253,6 +253,9 @@ def test_a_recording_without_contact_is_refused_and_the_rest_is_fitted(own):
         (lambda fit: ti.ContactModel(relaxation=lambda t: t), ValueError, "no relaxation time"),
         (lambda fit: ti.ContactModel(static=lambda x: 1.0 + x), ValueError, "0 at x = 0, not 1"),
         (lambda fit: ti.ContactModel(static=lambda x, a=-1.0: a * x), ValueError, "a is -1.0"),
+        (lambda fit: ti.ContactModel(static=lambda x, a=(1.0,): a * x), ValueError, r"a is \(1.0,\)"),
+        (lambda fit: ti.ContactModel(static=lambda x, scale: x), ValueError, "static_scale is another"),
+        (lambda fit: ti.ContactModel(relaxation=lambda t, tau, ratio: t), ValueError, "relaxation_ratio is"),
     ],
 )
 def test_what_makes_no_sense_is_refused_with_its_number(own, wrong, error, match):

@@ -25,6 +25,8 @@ WIDE, START = 1e3, 1.0
 STARTS = (0.25, 0.6)
 #: Deviation from 1 of a relaxation at no time, and rise that is rounding.
 ROUNDING = 1e-6
+#: Names of parameters that a model with a function has anyway.
+TAKEN = ("static_scale", "relaxation_time_s", "relaxation_ratio")
 #: Relative step of the slope of a static law.
 STEP = 1e-6
 
@@ -126,15 +128,17 @@ def _about(function: Callable[..., Any], kind: str) -> About:
 
 def _shape(one: inspect.Parameter, kind: str) -> Shape:
     """A shape with the bounds, or the start, that its default is."""
-    given = START if one.default is inspect.Parameter.empty else one.default
+    given, name = START if one.default is inspect.Parameter.empty else one.default, f"{kind}_{one.name}"
     try:
-        low, high = (given[0], given[1]) if isinstance(given, tuple) else (given / WIDE, given * WIDE)
-    except TypeError:
+        low, high = map(float, given) if isinstance(given, tuple) else (given / WIDE, given * WIDE)
+    except (TypeError, ValueError):
         low, high = 0.0, 0.0
-    if not 0.0 < low < high:
+    if not 0.0 < low < high < np.inf:
         raise ValueError(f"{one.name} is {given!r}; a default is a positive number, or bounds (low, high)")
-    starts = tuple(float(low ** (1.0 - at) * high**at) for at in STARTS)
-    spec = ParameterSpec(f"{kind}_{one.name}", one.name, "1", float(low), float(high), "of the function")
+    if name in TAKEN:
+        raise ValueError(f"{one.name}: {name} is another parameter of the model; take another name")
+    starts = tuple(low ** (1.0 - at) * high**at for at in STARTS)
+    spec = ParameterSpec(name, one.name, "1", low, high, "of the function")
     return Shape(spec, starts if isinstance(given, tuple) else (float(given),))
 
 
