@@ -216,9 +216,9 @@ _SIGNED_UNIT = re.compile(r"[kcm]?m[²³]|[µμ](?:m|N|s)(?:/(?:s|min))?")
 _BROKEN_NAME = re.compile(
     rb'(?:^|(?<=[,;\t]))"[^",;\t\n]*(?:\n[^",;\t\n]*){1,3}"(?=[,;\t\r\n])', re.MULTILINE
 )
-#: A minus sign that is no hyphen.
 #: Fortran has a D in an exponent.
 _FORTRAN = re.compile(rb"(?<![\w.])([+-]?(?:\d+\.\d*|\.\d+))[dD]([+-]\d{1,3})(?![\w.])")
+#: A minus sign that is no hyphen.
 _MINUS, _MINUS_SIGN = "\u2212".encode(), re.compile("\u2212(?=[0-9.,])".encode())
 
 
