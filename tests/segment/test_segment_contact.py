@@ -72,6 +72,20 @@ def test_contact_of_a_specimen_that_slips_and_stiffens(seed, factor):
     assert abs(found.contact_mm - 0.142) < 2.0 * found.sd_mm
 
 
+@pytest.mark.parametrize("contact_mm", [0.3, 0.0, -0.4])
+def test_contact_of_a_coarse_record_is_the_same_in_other_units(contact_mm):
+    # a scale of a power of two changes no digit: only logarithms of lengths are rounded otherwise
+    for seed, speed in ((1, 250.0), (2, 30.0), (3, 250.0)):
+        settings = {"rate_Hz": 10.0, "sigma_N": 1.0, "contact_offset_mm": contact_mm, "seed": seed}
+        trial = simulated(Move(6.0, speed), Hold(2.0), **settings)
+        contact = segment(trial).contact
+        for scale in (2.0**-10, 8.0):
+            scaled = segment(replace(trial, displacement_mm=scale * trial.displacement_mm)).contact
+            assert scaled.sd_mm == pytest.approx(scale * contact.sd_mm, rel=1e-9)
+            off = abs(scaled.displacement_mm - scale * contact.displacement_mm)
+            assert off < 1e-9 * scaled.sd_mm
+
+
 def test_force_that_never_rises_is_no_contact():
     time_s = np.arange(0.0, 4.0, 0.01)
     found = divided(time_s, 2.0 * time_s, normal(0.3, time_s, 6))

@@ -34,6 +34,9 @@ SPREAD = (0.6, 1.5)
 #: A mean this far out on the lattice lies at its edge; the axis is widened by this factor then.
 EDGE = 2.0
 EDGE_ROOM = 6.0
+#: A node lies at a limit, and so within it, that it misses by less than this share of the range: the first
+#: lattice reaches from limit to limit, and rounding would decide whether its ends count.
+AT_LIMIT = 1e-9
 #: Where another mode is looked for, in sd of the first parameter, and by how much it must be higher.
 PROBE = np.sinh(np.linspace(-5.3, 5.3, 29))
 PROBE_GAIN = 2.0
@@ -94,25 +97,31 @@ def _lattice(
     """Nodes around a centre along the columns of a lower triangular shape."""
     a, b = (np.linspace(-reach, reach, count) for count in nodes)
     first = centre[0] + shape[0, 0] * a
-    kept = (first >= limits[0][0]) & (first <= limits[0][1])
+    kept = _within(first, limits[0])
     if not kept.any():
         nearest = np.array([np.clip(centre[0], *limits[0])])
         a, first = (nearest - centre[0]) / shape[0, 0], nearest
     else:
         a, first = a[kept], first[kept]
     second = centre[1] + shape[1, 0] * a[:, None] + shape[1, 1] * b
-    inside = (second >= limits[1][0]) & (second <= limits[1][1])
+    inside = _within(second, limits[1])
     if not inside.any():
         inside = np.ones_like(inside)
     steps = np.stack(np.broadcast_arrays(a[:, None], b), axis=-1)
     return Lattice(first, np.clip(second, *limits[1]), inside, steps)
 
 
+def _within(places: FloatArray, limits: Limits) -> NDArray[np.bool_]:
+    """True where places lie within limits or at them."""
+    rounding = AT_LIMIT * (limits[1] - limits[0])
+    return (places >= limits[0] - rounding) & (places <= limits[1] + rounding)
+
+
 def _elsewhere(
     density: Density, limits: tuple[Limits, Limits], first: FloatArray, peak: float
 ) -> FloatArray | None:
     """Place of a density clearly higher than the peak found, ``None`` if at none of the first parameters."""
-    first = first[(first >= limits[0][0]) & (first <= limits[0][1])]
+    first = first[_within(first, limits[0])]
     if first.size == 0:
         return None
     second = np.linspace(*limits[1], NODES)
