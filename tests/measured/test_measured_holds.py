@@ -60,6 +60,17 @@ def test_the_peak_of_a_standstill_shorter_than_its_search_lies_in_it():
     assert all(one.after_peak_N is None or one.after_peak_N < 11.0 for one in found.holds[0].forces)
 
 
+def test_forces_of_a_hold_are_the_same_at_another_time_of_day():
+    # samples lie at the edges of the windows, where the rounding of their times would decide
+    trial, divided = recording(noise=0.05)
+    (hold,) = measure(trial, divided).holds
+    for later in (0.3, 64.0, 5000.1):
+        (again,) = measure(replace(trial, time_s=trial.time_s + later), divided).holds
+        for one, other in zip(hold.forces[:3], again.forces[:3], strict=True):
+            numbers = (one.after_stop_N, one.sd_N, one.after_peak_N)
+            assert (other.after_stop_N, other.sd_N, other.after_peak_N) == pytest.approx(numbers, rel=1e-9)
+
+
 @pytest.mark.parametrize(("sign", "zero"), [(1, 0.0), (-1, 3.0)])
 def test_numbers_of_a_hold_are_those_of_its_truth(sign, zero):
     found = measure(*recording(sign=sign, zero=zero))

@@ -22,6 +22,8 @@ from tissueid.trial import Event, Phase, Segmentation, Trial
 
 #: Half width of the window over the time, and fewest samples of a parabola.
 SHARE, FEWEST = 0.2, 6
+#: A sample at the edge of the window is in it, however times are rounded: by this share of the half width.
+AT_EDGE = 1e-6
 #: A hold that ends within this share before the time has reached it.
 REACHED = 0.01
 #: The nearest sample must lie within this factor of the time.
@@ -49,7 +51,7 @@ def force_at(time_s: FloatArray, force_N: FloatArray, at_s: float, noise_N: floa
     if later.size == 0 or float(np.abs(np.log(later / at_s)).min()) > np.log(NEAR):
         wide = float(np.diff(time_s)[max(int(np.searchsorted(time_s, at_s)) - 1, 0)]) if later.size else last
         return ForceAt(None, None, f"samples are {wide:.3g} s apart at {at_s:g} s")
-    near = np.abs(time_s - at_s) <= SHARE * at_s
+    near = np.abs(time_s - at_s) <= (1.0 + AT_EDGE) * SHARE * at_s
     if int(near.sum()) < FEWEST:
         return ForceAt(float(np.interp(at_s, time_s, force_N)), noise_N)
     x, f = (time_s[near] - at_s) / (SHARE * at_s), force_N[near]
