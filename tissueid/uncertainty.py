@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -77,6 +77,14 @@ class ParameterUncertainty:
     ess_tail: float
     r_hat: float
     prediction95: tuple[float, float] | None = None
+
+    def holding(self, low: float, high: float) -> ParameterUncertainty:
+        """The same with intervals that reach to both ends of another one."""
+        ends = {name: getattr(self, name) for name in _INTERVALS}
+        wide: dict[str, Any] = {
+            name: own and (min(own[0], low), max(own[1], high)) for name, own in ends.items()
+        }
+        return replace(self, **wide, sd=max(self.sd, (high - low) / 4.0))
 
     def as_json(self) -> dict[str, Any]:
         """The keys that a parameter gains; a diagnostic or an end that has no value makes null of its own."""

@@ -38,7 +38,7 @@ from tissueid.inference.sampling import Sampled, sample
 from tissueid.inference.specimen import FittedSpecimen
 from tissueid.inference.system import MACHINE, Point
 from tissueid.inference.target import NormalTarget, SpecimenTarget, Target
-from tissueid.inference.verdict import holding, outside, posterior_flags, reaching, unidentified, withheld
+from tissueid.inference.verdict import outside, posterior_flags, reaching, unidentified, withheld
 from tissueid.model.base import scaled_theta
 from tissueid.model.channels import ChannelModel
 from tissueid.priors import Priors
@@ -289,9 +289,7 @@ def _uncertainties(
 
 
 def _with_medians(
-    parameters: tuple[Estimate, ...],
-    medians: Mapping[str, float],
-    found: Mapping[str, ParameterUncertainty],
+    parameters: tuple[Estimate, ...], medians: Mapping[str, float], found: Mapping[str, ParameterUncertainty]
 ) -> tuple[Estimate, ...]:
     """Values are medians of the draws; what is identified is judged by their intervals.
 
@@ -337,8 +335,9 @@ def _assembled(
     found, apart = reaching(named, found, len(fit.trials))
     if (bent := fitted.identified.bent) is not None:
         # relaxation times do not rest on the constancy of K
-        others = reported_draws(bent.model, bent.theta)
-        found = holding(found, {name: one for name, one in others.items() if not name.startswith(TIME)})
+        for name, one in reported_draws(bent.model, bent.theta).items():
+            if name in found and not name.startswith(TIME):
+                found[name] = found[name].holding(float(one.min()), float(one.max()))
     parameters = _with_medians(fit.parameters, medians, found)
     parameters, said = withheld(parameters, outside(parameters, found), "the value lies outside it")
     parameters = tuple(replace(one, uncertainty=found.get(one.name)) for one in parameters)

@@ -264,26 +264,20 @@ def prior_table(
     return tuple(rows)
 
 
-def _linear_of(law: ChannelLaw, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Ln of the shapes, linear parameters over their field, and that, of rows of theta as a law has them."""
-    model = law.model()
-    logs = np.log(theta[:, model.shape_places])[:, np.argsort(law._order)]  # noqa: SLF001
-    field = law.field(logs)
-    return logs, theta[:, model.linear_places] / field, field
-
-
 def least_stiffness(law: ChannelLaw, theta: FloatArray) -> FloatArray:
-    """Smallest F_s/x and K_j within the depth, over their field, of rows of theta: (n, polynomials)."""
-    linear = _linear_of(law, theta)[1]
-    least = [minimum_on_unit(linear[:, one.at]) for one in law.blocks if one.polynomial]
-    return np.stack(least, axis=1) if least else np.empty((len(theta), 0))
+    """Smallest F_s/x and K_j within the depth of rows of theta, (n, polynomials)."""
+    linear = theta[:, law.model().linear_places]
+    sizes = [(one.at, law.depth_mm ** np.arange(one.size)) for one in law.blocks if one.polynomial]
+    return np.array([minimum_on_unit(linear[:, at] * by) for at, by in sizes]).T.reshape(len(theta), -1)
 
 
 def log_theta_prior(target: SpecimenTarget, theta: FloatArray) -> FloatArray:
     """Ln of the prior density of rows of theta, (n, p) -> (n,), up to a constant of the specimen."""
     law, priors, model = target.law, target.priors, target.law.model()
     largest = law.largest_states(target.optimum.point.log_times, target.system.path(target.system.travel))
-    logs, linear, field = _linear_of(law, theta)
+    logs = np.log(theta[:, model.shape_places])[:, np.argsort(law._order)]  # noqa: SLF001
+    field = law.field(logs)
+    linear = theta[:, model.linear_places] / field
     value = law.ln_volume(logs, priors.linear) - logs.sum(axis=1) - np.log(field).sum(axis=1)
     spread, exponential = WEAK_FACTOR * target.force, law.relaxation.branches > 0
     for one in law.blocks:

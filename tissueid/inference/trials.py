@@ -121,12 +121,7 @@ def _trial_flags(
 
 
 def summarise_trial(
-    trial: Trial,
-    segmentation: Segmentation,
-    log: FittedLog,
-    *,
-    fitted: FloatArray,
-    adjustment: Adjustment,
+    trial: Trial, segmentation: Segmentation, log: FittedLog, *, fitted: FloatArray, adjustment: Adjustment
 ) -> tuple[TrialFit, ResidualTotals]:
     """Residuals of one trial under its specimen's model, and their sums."""
     data, include = log.data, log.data.include

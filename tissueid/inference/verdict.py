@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissueid.arrays import FloatArray
 from tissueid.documents.identification import MisfitAlarm, NoiseFit
 from tissueid.flags import Flag
 from tissueid.inference.estimates import VISCOSITY, TissueEstimate
@@ -166,13 +165,6 @@ def _inside(value: float, interval: tuple[float, float] | None) -> bool:
     return interval is not None and interval[0] <= value <= interval[1]
 
 
-def _reached(own: ParameterUncertainty, ends: tuple[float, float]) -> ParameterUncertainty:
-    """Uncertainty whose intervals hold another interval."""
-    low, high = min(own.ci95[0], ends[0]), max(own.ci95[1], ends[1])
-    wide = None if own.ci95_total is None else (min(own.ci95_total[0], low), max(own.ci95_total[1], high))
-    return replace(own, sd=max(own.sd, (high - low) / 4.0), ci95=(low, high), ci95_total=wide)
-
-
 def reaching(
     named: Mapping[str, tuple[str, float]], found: Mapping[str, ParameterUncertainty], logs: int
 ) -> tuple[dict[str, ParameterUncertainty], tuple[Flag, ...]]:
@@ -186,7 +178,7 @@ def reaching(
         if not _inside(middle, own.ci95_total or own.ci95):
             # of the next log by Student's t, sqrt(n + 1) times as wide as of the mean of n
             ratio = float(np.exp(0.5 * (high - low) / np.sqrt(logs + 1.0)))
-            out[name], middles[name] = _reached(own, (middle / ratio, middle * ratio)), middle
+            out[name], middles[name] = own.holding(middle / ratio, middle * ratio), middle
     if not middles:
         return out, ()
     symbols, middle = [named[name][0] for name in middles], next(iter(middles.values()))
@@ -195,29 +187,16 @@ def reaching(
     return out, (Flag("logs_apart", words, values),)
 
 
-def holding(
-    found: Mapping[str, ParameterUncertainty], others: Mapping[str, FloatArray]
-) -> dict[str, ParameterUncertainty]:
-    """Intervals that hold other values of the parameters, in a prediction too."""
-    out = dict(found)
-    for name in out.keys() & others.keys():
-        ends, own = (float(others[name].min()), float(others[name].max())), out[name]
-        later = own.prediction95 and (min(own.prediction95[0], ends[0]), max(own.prediction95[1], ends[1]))
-        out[name] = replace(_reached(own, ends), prediction95=later)
-    return out
-
-
 def outside(parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncertainty]) -> tuple[str, ...]:
     """Identified parameters whose value lies outside an interval of theirs."""
     totals = any(one.ci95_total is not None for one in found.values())
-    out = []
-    for one in parameters:
-        if one.value is None or one.name not in found:
-            continue
-        own, value = found[one.name], one.value
-        if not (_inside(value, own.ci95) and (not totals or _inside(value, own.ci95_total))):
-            out.append(one.name)
-    return tuple(out)
+    known = [(one.name, one.value, found[one.name]) for one in parameters if one.name in found]
+    return tuple(
+        name
+        for name, value, own in known
+        if value is not None
+        and not (_inside(value, own.ci95) and (not totals or _inside(value, own.ci95_total)))
+    )
 
 
 def withheld(
