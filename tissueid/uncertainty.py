@@ -80,6 +80,7 @@ class ParameterUncertainty:
 
     def holding(self, low: float, high: float) -> ParameterUncertainty:
         """The same with intervals that reach to both ends of another one."""
+        low, high = min(low, self.ci95[0]), max(high, self.ci95[1])
         ends = {name: getattr(self, name) for name in _INTERVALS}
         wide: dict[str, Any] = {
             name: own and (min(own[0], low), max(own[1], high)) for name, own in ends.items()

@@ -7,7 +7,7 @@ import pytest
 from inference_cases import draw, handle_for, small_recipe, state_of, true_segmentation
 
 import tissueid
-from tissueid.inference.frame_effect import beyond_calibration, machine_flag, tip_handles
+from tissueid.inference.frame_effect import beyond_calibration, machine_flags, tip_handles
 from tissueid.inference.specimen import FitOptions
 from tissueid.manifest import FrameCurve
 from tissueid.model.channels import loading_force
@@ -105,7 +105,7 @@ FRAME = "frame_compliance_mm_per_N"
     ],
 )
 def test_a_machine_that_is_unlikely_is_named_with_its_size(machine, name, words):
-    flag = machine_flag(np.array(machine), CALIBRATION_DEFAULTS, force_N=260.0, depth_mm=8.0)
+    (flag,) = machine_flags(np.array(machine), CALIBRATION_DEFAULTS, force_N=260.0, depth_mm=8.0)
     assert (flag.message, flag.values["name"]) == (f"the fit needs {words}", name)
 
 
@@ -117,7 +117,7 @@ def test_an_ordinary_machine_and_a_stated_soft_frame_are_not():
         ((0.00067, 0.0, 0.0), CALIBRATION_DEFAULTS, 390.0, 1.0),
         ((0.009, 0.0, 0.0), stated, 260.0, 8.0),
     ):
-        assert machine_flag(np.array(machine), priors, force_N=force, depth_mm=depth) is None
+        assert not machine_flags(np.array(machine), priors, force_N=force, depth_mm=depth)
 
 
 @pytest.mark.parametrize(("model", "raised"), [("power * prony", True), ("kelvin-voigt", False)])

@@ -180,9 +180,9 @@ def frame_flags(fit: SpecimenFit, frame: FrameCurve | None, stated: Mapping[str,
     return flags if unknown is None else [*flags, unknown]
 
 
-def machine_flag(
+def machine_flags(
     machine: FloatArray, priors: Mapping[str, CalibrationPrior], *, force_N: float, depth_mm: float
-) -> Flag | None:
+) -> tuple[Flag, ...]:
     """``machine_implausible``: the optimum is behind a machine that what is known of it speaks against."""
     values = dict(zip(MACHINE, (float(one) for one in machine), strict=True))
     frame = "frame_compliance_mm_per_N"
@@ -199,10 +199,9 @@ def machine_flag(
     elif share > MOST_BENDING and far[frame] > SOFT_SD:
         name, why = frame, f"which would take {100.0 * share:.0f} % of the travel"
     else:
-        return None
-    words = f"the fit needs {needed[name]}, {why}"
+        return ()
     told = {"name": name, "value": values[name], "deviations": far[name], "frame_share": share}
-    return Flag("machine_implausible", words, told)
+    return (Flag("machine_implausible", f"the fit needs {needed[name]}, {why}", told),)
 
 
 def _unknown(

@@ -87,10 +87,8 @@ def speed_handles(handles: Sequence[LogHandle], laws: Candidates) -> list[LogHan
         now = replace(handle, follows_speed=True, unloading=whole)
         log = now.own_window(trial)
         if log is None:
-            msg = (
-                f"0 contacts begin at a speed, of which {named[0].name!r} is a law: record the approach, "
-                "exclude the recording, or fit kelvin-voigt"
-            )
+            none = f"0 contacts begin at a speed, of which {named[0].name!r} is a law"
+            msg = f"{none}: record the approach, exclude the recording, or fit kelvin-voigt"
             raise InputError(NO_CONTACT, msg, path=trial.source.path, sheet=trial.source.sheet)
         # a power and a contact are told by the same samples: a segmenter that took the power for another has
         # placed the contact elsewhere

@@ -326,10 +326,9 @@ def _assembled(
     total = reported_draws(model, draws.total) if instrument else None
     names = [one.name for one in fit.parameters]
     walkers, steps = sampled.chain.shape[:2]
-    found = _uncertainties(target, draws, statistical, total, (walkers, steps))
-    found = {name: found[name] for name in names}
+    every = _uncertainties(target, draws, statistical, total, (walkers, steps))
     later = next_indentation(fitted.identified)
-    found = {name: replace(one, prediction95=later.get(name)) for name, one in found.items()}
+    found = {name: replace(every[name], prediction95=later.get(name)) for name in names}
     medians = {name: float(np.median(statistical[name])) for name in names}
     named = {one.name: (one.symbol, medians[one.name]) for one in fit.parameters}
     found, apart = reaching(named, found, len(fit.trials))

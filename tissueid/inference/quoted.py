@@ -336,10 +336,8 @@ def depth_test(
     at = replace(at, low=slope - half, high=slope + half, verdict=verdict)
     flags: tuple[Flag, ...] = ()
     if verdict == "drainage":
-        words = (
-            f"relaxation times grow as the contact radius to the power {slope:.2f} [{slope - half:.2f}, "
-            f"{slope + half:.2f}] to {deepest:.3g} mm: fluid drains"
-        )
+        power = f"{slope:.2f} [{slope - half:.2f}, {slope + half:.2f}] to {deepest:.3g} mm"
+        words = f"relaxation times grow as the contact radius to the power {power}: fluid drains"
         flags = (Flag("poroelastic", words, {"slope": slope, "stderr": error}),)
     return Quantity(DEPTH_TEST, "1", at, slope, error, None), flags
 

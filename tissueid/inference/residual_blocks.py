@@ -427,10 +427,8 @@ def _directed(
     p = float(2.0 * stats.t.sf(abs(statistic) / np.sqrt(SPECTRUM_TOLERANCE), effective))
     count = sum(int(one.count[mask].sum()) for one, mask in zip(logs, masks, strict=True))
     total = sum(float(one.count[mask] @ one.mean_N[mask]) for one, mask in zip(logs, masks, strict=True))
-    message = (
-        f"{words} the force is {abs(total) / max(count, 1):.2g} N "
-        f"{'above' if total > 0.0 else 'below'} the model on average ({abs(statistic):.1f} standard errors)"
-    )
+    off = f"{abs(total) / max(count, 1):.2g} N {'above' if total > 0.0 else 'below'} the model on average"
+    message = f"{words} the force is {off} ({abs(statistic):.1f} standard errors)"
     return MisfitCheck(name, statistic, p, message, p < LEVELS[name])
 
 

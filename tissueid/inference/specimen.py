@@ -19,7 +19,7 @@ from tissueid.inference.arrival import arrived, start_flags
 from tissueid.inference.engine import Identified, Request, identify_logs
 from tissueid.inference.estimates import FEWEST_SLOW, TissueEstimate, estimate_tissue, slow_share
 from tissueid.inference.evidence import log_evidence
-from tissueid.inference.frame_effect import machine_flag
+from tissueid.inference.frame_effect import machine_flags
 from tissueid.inference.logs import LogHandle, blocks_of, speed_handles
 from tissueid.inference.quoted import EQUALLY_LONG, depth_test, quoted_numbers, with_form, with_moduli
 from tissueid.inference.residual_blocks import sandwich_covariance
@@ -267,8 +267,9 @@ class _Found:
 
     def _flags(self, here: TissueEstimate, told: Summaries, point: Point) -> tuple[Flag, ...]:
         """Everything that is to be said of the fit itself."""
-        found, noise = self.identified, self.noise
-        own: Sequence[Flag] = ()
+        found, noise, request = self.identified, self.noise, self.identified.request
+        force, depth = float(np.abs(found.system.force).max()), found.system.depth_mm
+        priors, own = request.priors.calibration, tuple[Flag, ...]()
         if found.quotable:
             own = specimen_flags(
                 here, self.facts, told.trials, sigma_N=noise.sigma_N, optimisers=self.optimisers,
@@ -282,7 +283,7 @@ class _Found:
             *bent_flags(found),
             *window_flags(self.window),
             *damping_flags(found, here),
-            *_machine_flags(found, point),
+            *(machine_flags(point.machine, priors, force_N=force, depth_mm=depth) if request.machine else ()),
             *start_flags(found, self.handles),
         )
 
@@ -442,17 +443,7 @@ def _moved_by_unloading(
     if any(handle.own_window(handle.load()) is None for handle in handles):
         return ()
     loaded, _ = _again(whole.request, tick, handles, whole)
-    said = unloading_disagrees(loaded, whole, _worth(loaded))
-    return () if said is None else (said,)
-
-
-def _machine_flags(found: Identified, point: Point) -> tuple[Flag, ...]:
-    """Machine of an optimum, held against what is known of it."""
-    if not found.request.machine:
-        return ()
-    force, priors = float(np.abs(found.system.force).max()), found.request.priors.calibration
-    said = machine_flag(point.machine, priors, force_N=force, depth_mm=found.system.depth_mm)
-    return () if said is None else (said,)
+    return unloading_disagrees(loaded, whole, _worth(loaded))
 
 
 def _equal_holds(told: Summaries) -> tuple[list[float], list[float]]:
@@ -467,10 +458,8 @@ def window_flags(window: RelaxationWindow | None) -> tuple[Flag, ...]:
     """A relaxation time that follows the hold it was shown."""
     if window is None or not window.effective:
         return ()
-    words = (
-        f"one relaxation time follows the hold: {window.tau_s[-1]:.3g} s in {window.cut_s[-1]:.3g} s, "
-        f"{window.tau_s[0]:.3g} s in {window.cut_s[0]:.3g} s"
-    )
+    first, last = (f"{window.tau_s[k]:.3g} s in {window.cut_s[k]:.3g} s" for k in (-1, 0))
+    words = f"one relaxation time follows the hold: {first}, {last}"
     return (Flag("form_dependent", words, {"slope": window.slope}),)
 
 

@@ -88,7 +88,7 @@ def _numbers(found: Identified) -> tuple[list[str], FloatArray, FloatArray]:
     return names, values, error
 
 
-def unloading_disagrees(loaded: Identified, whole: Identified, worth: float) -> Flag | None:
+def unloading_disagrees(loaded: Identified, whole: Identified, worth: float) -> tuple[Flag, ...]:
     """Flag where taking unloading in moves a relaxation time or K; both fits of one order.
 
     ``worth``: samples of loading that count as one.  More data of one law move an estimate by no more than
@@ -100,10 +100,7 @@ def unloading_disagrees(loaded: Identified, whole: Identified, worth: float) -> 
     moved = np.where(share > MOVED_SHARE, share / np.maximum(np.sqrt(worth) * sd, 1e-12), 0.0)
     k = int(np.argmax(moved))
     if moved[k] <= MOVED_SD:
-        return None
-    words = (
-        f"{names[k]} is {after[k]:.3g} with the unloading, {before[k]:.3g} without: "
-        f"{moved[k]:.0f} standard errors"
-    )
+        return ()
+    both = f"{after[k]:.3g} with the unloading, {before[k]:.3g} without"
     values = {"loading": float(before[k]), "whole": float(after[k]), "standard_errors": float(moved[k])}
-    return Flag("unloading_disagrees", words, values)
+    return (Flag("unloading_disagrees", f"{names[k]} is {both}: {moved[k]:.0f} standard errors", values),)

@@ -117,10 +117,8 @@ def discrepancy_flags(noise: NoiseFit, nrmsd: Nrmsd) -> list[Flag]:
     times = "far above the noise" if ratio is None else f"{ratio:.2g} times the noise"
     if ratio is not None and ratio < OF_ITS_SIZE:
         times = "as correlated noise would"
-    words = (
-        f"the model misses the force by {noise.sigma_N:.2g} N ({100.0 * nrmsd.range:.2g} % of its "
-        f"range), {times}"
-    )
+    missed = f"{noise.sigma_N:.2g} N ({100.0 * nrmsd.range:.2g} % of its range)"
+    words = f"the model misses the force by {missed}, {times}"
     values = {"rms_N": noise.sigma_N, "measured_N": measured, "ratio": ratio}
     return [Flag("discrepancy", words, values | {"samples_per_independent": noise.samples_per_independent})]
 

@@ -149,8 +149,6 @@ def _with_one_less(found: list[tuple[FloatArray, FloatArray]]) -> list[tuple[Flo
     tau, amplitude = found[kind]
     pair = slice(k, k + 2)
     mean = np.exp(np.average(np.log(tau[pair]), weights=amplitude[pair]))
-    merged = (
-        np.concatenate([tau[:k], [mean], tau[k + 2 :]]),
-        np.concatenate([amplitude[:k], [amplitude[pair].sum()], amplitude[k + 2 :]]),
-    )
-    return [merged if one == kind else found[one] for one in range(2)]
+    both = (tau, mean), (amplitude, amplitude[pair].sum())
+    times, sizes = (np.concatenate([one[:k], [new], one[k + 2 :]]) for one, new in both)
+    return [(times, sizes) if one == kind else found[one] for one in range(2)]
