@@ -6,7 +6,7 @@ the printed value is the median.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -45,6 +45,7 @@ from tissueid.priors import Priors
 from tissueid.result import Estimate, SpecimenFit
 from tissueid.uncertainty import ParameterUncertainty, Posterior
 
+Ends = dict[str, tuple[float, float]]
 #: Draws that a bundle and a report keep.
 KEPT_DRAWS = 2000
 #: NRMSD of the centre at the most over that of the optimum.
@@ -253,12 +254,12 @@ def without_faults(effects: FloatArray, total: Mapping[str, FloatArray]) -> Iter
         yield {name: moved(values, gone) for name, values in total.items()}
 
 
-def _widest(
-    draws: Mapping[str, FloatArray], effects: FloatArray, least: Mapping[str, tuple[float, float]]
-) -> dict[str, tuple[float, float]]:
-    """Intervals of draws, of these where effects (n, k) are none, and the least ones, in one."""
-    every = [interval95(draws), *map(interval95, without_faults(effects, draws)), *([least] if least else [])]
-    return {name: (min(one[name][0] for one in every), max(one[name][1] for one in every)) for name in draws}
+def _widest(draws: Mapping[str, FloatArray], names: Sequence[str], effects: FloatArray, least: Ends) -> Ends:
+    """The least intervals; those named with these of draws, and of draws where effects (n, k) are none."""
+    every = [least, interval95(draws), *map(interval95, without_faults(effects, draws))]
+    return least | {
+        name: (min(one[name][0] for one in every), max(one[name][1] for one in every)) for name in names
+    }
 
 
 def _uncertainties(
@@ -271,11 +272,13 @@ def _uncertainties(
     """Mean, spread, intervals and diagnostics of each reported parameter."""
     base, law = statistical if total is None else total, target.law
     found = diagnose({name: one.reshape(shape) for name, one in base.items()})
-    # tissue that only just is passive is an edge as well
-    central = wide = _widest(statistical, least_stiffness(law, draws.statistical), {})
+    # tissue that only just is passive is an edge as well, but not for times
+    least, machine = least_stiffness(law, draws.statistical), draws.vectors[:, target.cut_places]
+    rest = [name for name in base if not name.startswith(TIME)]
+    central = wide = _widest(statistical, rest, least, interval95(statistical))
     if total is not None:
-        effects = draws.vectors[:, target.cut_places], least_stiffness(law, draws.total)
-        wide = _widest(total, np.hstack(effects), central)
+        effects = np.hstack([machine, least_stiffness(law, draws.total)])
+        wide = _widest(total, rest, effects, _widest(total, list(base), machine, central))
     return {
         name: ParameterUncertainty(
             mean=float(one.mean()),

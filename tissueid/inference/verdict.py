@@ -240,10 +240,6 @@ def posterior_flags(posterior: Posterior) -> tuple[Flag, ...]:
         reason = str(sampler.detail.get("reason", "its rule was not met"))
         words = f"the sampler stopped after {sampler.draws:,} draws, before its rule was met"
         flags.append(Flag("sampler_not_converged", words, {"reason": reason}))
-    total = sampler.detail.get("total")
-    if total is not None and not total["converged"]:
-        words = f"no total interval: its draws are worth {total['worth']:.0f} independent ones"
-        flags.append(Flag("sampler_not_converged", words, {"total_worth": total["worth"]}))
     flags += _machine(posterior)
     return tuple(flags)
 
