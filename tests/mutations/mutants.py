@@ -228,7 +228,7 @@ INTERPRETED = (
     ),
     Mutant(
         "commands are never counted", "haptics/falcon/servo_io.py",
-        "    parts.flags[UNANSWERED] += 1\n    events", "    events",
+        "    parts.flags[UNANSWERED] += 1\n", "",
         (f"{SESSIONS}_late_wire_lights_its_lamp_and_lowers_the_force[4]",),
     ),
 )  # fmt: skip
