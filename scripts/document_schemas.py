@@ -152,7 +152,9 @@ def _kinds(roots: list[type[msgspec.Struct]]) -> Iterator[type[msgspec.Struct]]:
 
 
 def _describe(definition: dict[str, Any], kind: type[msgspec.Struct]) -> None:
-    """Add what is said at the fields, and rules that no type can say."""
+    """Add what is said at the fields, and rules that no type can say; indents of docstrings go."""
+    if "description" in definition:
+        definition["description"] = inspect.cleandoc(definition["description"])
     for field in msgspec.structs.fields(kind):
         owner = next(one for one in kind.__mro__ if field.name in getattr(one, "__annotations__", {}))
         words = _comments(import_module(owner.__module__)).get((owner.__name__, field.name))
