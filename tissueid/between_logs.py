@@ -80,7 +80,8 @@ def _first_apart(log_gain: FloatArray, what: str) -> list[Flag]:
     if abs(np.expm1(apart)) < FIRST_CHANGE or abs(log_gain[0] - float(line(0.0))) < np.log1p(FIRST_CHANGE):
         return []
     t = abs(apart) / max(spread * np.sqrt(1.0 + 1.0 / rest.size), 1e-12)
-    p = float(2.0 * stats.t.sf(t, rest.size - 1))
+    # a first test softens tissue: of one that is stiffer the chance is that of one side
+    p = float((1.0 if apart > 0.0 else 2.0) * stats.t.sf(t, rest.size - 1))
     if p >= CHANCE:
         return []
     change = float(np.expm1(apart))
