@@ -21,6 +21,8 @@ SMALL = 1e-3
 #: Numbers from ten to this power on are, too.
 LARGE_POWER = 6
 _MOST_DECIMALS = 9
+#: Numbers below this part of their standard deviation are roundings of 0.
+ROUNDING = 1e-9
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LOWERED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 _POWER = re.compile(r"(×?)10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)")
@@ -63,6 +65,8 @@ def together(values: Sequence[float], sd: float | None) -> list[str]:
     if sd is None or not (sd > 0.0 and math.isfinite(sd)):
         return [number(value) for value in values]
     largest = max(abs(value) for value in values)
+    if largest < ROUNDING * sd:
+        largest, values = 0.0, [0.0] * len(values)
     power = _power(largest) if largest > 0.0 else 0
     if 0.0 < largest < SMALL:
         scaled = together([value / 10.0**power for value in values], sd / 10.0**power)
