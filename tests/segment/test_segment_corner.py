@@ -54,6 +54,21 @@ def test_a_sharp_stop_takes_no_time(noise_mm: float) -> None:
     assert not codes(found) & {"corner_slow", "corner_overshoot"}
 
 
+@pytest.mark.parametrize("epoch_s", [1_234_567_890.123, 1.7e9])
+def test_a_clock_from_an_epoch_moves_no_corner(epoch_s: float) -> None:
+    """At 10 Hz the air before contact is seven samples: one that is lost hides it."""
+    time = 0.1 * np.arange(350.0)
+    travel = 20.0 - np.interp(time, [2.0, 6.0, 30.0, 33.0], [0.0, 4.8, 4.8, 0.0])  # a place, 20 mm up
+    force = 4.0 * np.clip(19.2 - travel, 0.0, None) + 0.004 * np.random.default_rng(3).standard_normal(350)
+    sound, found = divided(time, travel, force), divided(epoch_s + time, travel, force)
+    assert [(one.kind, one.start, one.stop) for one in found.phases] == [
+        (one.kind, one.start, one.stop) for one in sound.phases
+    ]
+    assert found.contact is not None
+    assert found.contact.in_record
+    assert found.contact.displacement_mm == pytest.approx(19.2, abs=0.01)
+
+
 @pytest.mark.parametrize(("over_mm", "settles_s"), [(0.004, 1.0), (0.0065, 3.0), (0.01, 2.0)])
 def test_a_stop_that_settles_for_longer_than_the_ramp_took_is_where_the_ramp_ends(over_mm, settles_s):
     time = np.arange(0.0, 15.0, 0.01)

@@ -103,7 +103,8 @@ def _meeting(path: Path, lines: tuple[Line, Line], low: int, high: int) -> int |
     meet = (level_2 - level_1) / (slope_1 - slope_2)
     if not path.time_s[low] <= meet <= path.time_s[high]:
         return None
-    reach = 1e-9 * (path.time_s[high] - path.time_s[low])
+    # a clock that counts from an epoch has fewer digits left
+    reach = 1e-9 * (path.time_s[high] - path.time_s[low]) + 8.0 * np.spacing(path.time_s[high])
     return int(np.clip(np.searchsorted(path.time_s, meet - reach), low + 1, high - 1))
 
 
@@ -132,7 +133,8 @@ def straight_line(time_s: FloatArray, depth_mm: FloatArray, *, flat: bool) -> Li
 
 def slope_of(places: FloatArray, values: FloatArray) -> tuple[float, float]:
     """Least-squares slope of values over places, 0 over a single one, and the places' sum of squares."""
-    off = places - places.mean()
+    off = places - places[:1]  # the mean of an epoch's seconds is rounded
+    off -= off.mean()
     spread = float(off @ off)
     return (float(off @ values) / spread if spread > 0.0 else 0.0), spread
 
