@@ -304,6 +304,13 @@ def test_a_column_of_numbers_without_a_name_is_asked_about_where_the_head_has_co
     # and comments may be comments
     said = "".join(f"{line},{'slow' if k == 3 else ''}\n" for k, line in enumerate(ROWS.splitlines()))
     read(written(tmp_path / "c.csv", "Time,Extension,Load,Comment", said))
+    # of which a row without one may leave out the cell, but for none of numbers
+    lone = ROWS.replace("\n", ",slow start\n", 1)
+    trial = read(written(tmp_path / "d.csv", "Time,Extension,Load,Comment", lone))
+    assert trial.time_s.size == len(ROWS.splitlines())
+    for remark, name in (("3.5", "Comment"), ("slow", "Mode")):
+        path = written(tmp_path / "e.csv", f"Time,Extension,Load,{name}", lone.replace("slow start", remark))
+        assert refusal(path).code == "ragged_rows"
 
 
 def test_specimens_side_by_side_without_time_are_refused_one_by_one(tmp_path: Path) -> None:

@@ -251,6 +251,7 @@ class Layout:
     n_columns: int
     numeric: tuple[bool, ...]  # which columns hold numbers in the sample
     stop: int | None = None  # byte at which a table of results begins below the rows, ``None`` without one
+    remarked: bool = False  # whether a row may end in a remark, under a name for it that most rows leave out
 
 
 def split_line(line: str, delimiter: str) -> Row:
@@ -457,6 +458,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
         sum(map(len, raw[: found.first])),
         n_columns,
         numeric_columns(sample, n_columns),
+        remarked=n_columns < len(names) and is_comment_name(names[n_columns]),
     )
     if results is not None:
         return replace(layout, stop=sum(map(len, raw[: found.first + results])))

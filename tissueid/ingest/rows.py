@@ -258,6 +258,8 @@ class RowReader:
                 "damaged_number", f"a quote is torn in {shown}; export the file again", line=number, column=1
             )
         expected = self.layout.n_columns
+        if self.layout.remarked and len(cells) == expected + 1 and not looks_numeric(cells[-1]):
+            cells = cells[:-1]
         if len(cells) != expected:
             commas = self.layout.delimiter == "," and len(cells) == 2 * expected
             hint = " (a decimal comma can't be told from the delimiter)" if commas else ""
