@@ -49,6 +49,10 @@ GRAMMARS: dict[str, tuple[str, Callable[[int, Row], str]]] = {
         "# operator: kb\n# time, pos, force\n# s, mm, mN\n",
         lambda _, r: f"{r[0]:.3f},{r[1]:.4f},{1e3 * r[2]:.1f}\n",
     ),
+    "names-behind-a-word-for-them": (
+        "# force gauge\n# Columns: time_s, pos_mm, force_mN\n",
+        lambda _, r: f"{r[0]:.3f},{r[1]:.4f},{1e3 * r[2]:.1f}\n",
+    ),
     "time-named-by-its-unit": (
         "N\t[s]\tForce [kN]\tPiston [mm]\n",
         lambda i, r: f"{i}\t{r[0]:.3f}\t{r[2] / 1e3:.7f}\t{r[1]:.4f}\n",

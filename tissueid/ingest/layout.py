@@ -214,8 +214,10 @@ _ROWS_OF_HEAD = 3
 _LONGEST_WORD = 12
 #: Longer cells are prose, be there words of columns in it or not.
 _LONGEST_NAME = 80
-#: What a program writes before a line of words that is no data of its own.
-_COMMENT_MARK = re.compile(r"\A\s*(?:#+|%+|//+)\s*(?=[^\W\d_]|[(\[])")
+#: What a program writes before a line of words that is no data of its own, and before names in one.
+_COMMENT_MARK = re.compile(
+    r"(?i)\A\s*(?:#+|%+|//+)\s*(?:(?:columns?|fields?|format|names)\s*[:=]\s*)?(?=[^\W\d_]|[(\[])"
+)
 #: A tail of nothing but numbers holds no results.
 _ONLY_NUMBERS = re.compile(rb"[-+\d.,;:'\t\r\n\"eE \xa0]*")
 
