@@ -33,7 +33,7 @@ class FlagKind(NamedTuple):
 _SERIOUS = {
     "no_decimals": FlagKind("Decimals", "no number of the recording has decimals: were decimal marks lost?",
         "If a decimal mark was lost, numbers are too large by a power of ten.",
-        "Export again with more digits, or state --decimal.", "may have lost decimal marks", "repeat"),
+        "Export again with more digits, or state --units.", "may have lost decimal marks", "repeat"),
     "clipped_force": FlagKind("Clipped force",
         "the force stands at its extreme for several samples: clipped load cell",
         "The true peak was higher; samples at the limit are not fitted.",

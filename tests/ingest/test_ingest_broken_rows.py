@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from ingest_files import codes, put, read, refusal, workbook
 
+from tissueid.flags import warning_line
 from tissueid.ingest import ReadOptions
 
 COUNT = 400
@@ -135,6 +136,15 @@ def test_travel_and_force_beyond_any_machine_are_refused_with_their_column(tmp_p
 def test_whole_numbers_throughout_are_said(tmp_path: Path, travel, force, said) -> None:
     trial = read(export(tmp_path / "whole.csv", [f"{i},{travel(i)},{force(i)}" for i in range(40)]))
     assert [flag.values.get("quantity") for flag in trial.flags if flag.code == "no_decimals"] == said
+
+
+def test_what_is_said_of_a_clock_of_whole_milliseconds_fits_its_line_and_helps(tmp_path: Path) -> None:
+    rows = "".join(f"{100 * i},{0.04 * i:.3f},{0.5 * i:.4f}\n" for i in range(400))
+    path = put(tmp_path / "a.csv", f"timestamp,position_mm,force_N\n{rows}")
+    line = next(warning_line(one.code, one.message) for one in read(path).flags if one.code == "no_decimals")
+    assert "--units time=ms" in line
+    assert "..." not in line
+    assert codes(read(path, ReadOptions(units={"time": "ms"}))) == []
 
 
 def test_a_unit_of_the_user_against_that_of_the_file_is_said(tmp_path: Path) -> None:

@@ -302,7 +302,7 @@ def lost_marks(
         if channel in choice.stated and factors[channel] < 1.0:
             continue  # in a finer unit, as the user says, it may well be whole
         if is_whole and _worth_a_remark(channel, column, factors[channel], all_whole=all_whole):
-            return _flag(channel, f"is a whole number in all {column.size} rows")
+            return _flag(channel, f"is whole in all {column.size} rows")
     for channel, column, decimals in zip(CHANNELS, columns, fractional, strict=True):
         at = _far_above_neighbours(column, decimals)
         if at is not None:
@@ -312,8 +312,8 @@ def lost_marks(
 
 def _flag(channel: Channel, what: str) -> Flag:
     unit = {"time": "ms", "displacement": "um", "force": "mN"}[channel]
-    other = f", or is it in {unit} (--units {channel}={unit})" if "whole" in what else ""
-    message = f"the {channel} as printed {what}: decimal marks lost{other}?"
+    other = f", or {unit} (--units {channel}={unit})" if "whole" in what else ""
+    message = f"the {channel} as printed {what}: marks lost{other}?"
     return Flag("no_decimals", message, {"quantity": channel})
 
 
