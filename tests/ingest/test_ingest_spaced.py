@@ -168,10 +168,13 @@ def test_a_serial_monitor_stamps_every_line(tmp_path: Path) -> None:
     assert trial.force_N == pytest.approx(FORCE, abs=1e-4)
 
 
-def test_a_table_of_volts_is_refused(tmp_path: Path) -> None:
-    head = "Units\tmm\tmN\nScale (units/V)\t0.5\t0.3\n\nTest Data in Volts:\nTime (s)\tAI0 (mm)\tForce (mN)\n"
+@pytest.mark.parametrize("steps", [0, 3])
+def test_a_table_of_volts_is_refused_as_one(tmp_path: Path, steps: int) -> None:
+    program = "0.200000\tRamp\tForce Out\t100, 0.013\t\n" * steps
+    head = f"Units\tmm\tmN\nScale (units/V)\t0.5\t0.3\n{program}\nTest Data in Volts:\n"
+    head += "Time (s)\tAI0 (mm)\tForce (mN)\n"
     error = refusal(put(tmp_path / "a.ddf", table(lambda t, x, f: f"{t:.2f}\t{x:.4f}\t{f:.4f}\n", head)))
-    assert (error.code, error.line) == ("wrong_unit", 4)
+    assert (error.code, error.line) == ("wrong_unit", 4 + steps)
     assert "calibrated units" in error.message
 
 

@@ -426,8 +426,8 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
             break
     if found is None:
         raise _no_numbers(rows, delimiter, options, place)
-    _refuse_rows_above(rows, found, place)
     _refuse_volts(lines, place)
+    _refuse_rows_above(rows, found, place)
     names, units = found.head(rows)
     if found.names is not None and found.units is None:
         units = stated_units(rows[: found.names], names, options)
