@@ -138,6 +138,8 @@ _LOOSE_WORDS: dict[Channel, tuple[str, str]] = {
     # what a scale shows, with a unit of force or weight alone
     "force": (r"fn|weight|mass|gewicht|masse|poids|peso|ero", "载荷|压力"),
 }
+#: Path of a channel in the messages of a robot: ``field.wrench.force.z``, ``/arm/pose/position/z``.
+_IN_MESSAGE = re.compile(r"(?:.* )?(?:pose (position z)|wrench (force z))")
 #: Where a word begins by its capital alone: ``ProbePos``, ``XForce``.
 _CAPITALS = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 #: Rank of a loose name with the letter of a sideways axis.
@@ -219,6 +221,8 @@ for _channel, (_words, _more) in _LOOSE_WORDS.items():
 def rank_of(name: str, channel: Channel, *, loose: bool) -> int | None:
     """Rank of a printed name, without its unit, for a channel; ``loose``: a word inside it is enough."""
     words, apart = plain_words(name), plain_words(_CAPITALS.sub(" ", name))
+    if (path := _IN_MESSAGE.fullmatch(words)) and not _NOT_A_CHANNEL.search(words):
+        words = path[1] or path[2]
     for one in dict.fromkeys((words, apart)):
         numbered = _CHANNEL_NUMBER.fullmatch(one)
         for rank, pattern in _NAMES[channel].items():
