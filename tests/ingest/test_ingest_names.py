@@ -188,6 +188,7 @@ def test_names_of_no_known_language_are_told_by_their_units_where_each_channel_h
 @pytest.mark.parametrize(
     "head",
     [
+        "Time (s),Wavelength (nm),Force (N)",
         "Time (s),Deformation,Force (N)",
         "Time (s),Compression,Force (N)",
         "Time (s),Pd,Force (N)",

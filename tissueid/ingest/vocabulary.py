@@ -156,7 +156,8 @@ _NOT_A_CHANNEL = re.compile(
 )
 #: Lengths that are no travel.
 _SIZE = re.compile(
-    r"\b(?:width|thickness|diam(?:eter)?|radius|breite|dicke|durchmesser|largeur|epaisseur|diametre|ancho|espesor)\b"
+    r"\b(?:width|thickness|diam(?:eter)?|radius|wave ?length|breite|dicke|durchmesser|wellenlange|largeur"
+    r"|epaisseur|diametre|ancho|espesor)\b"
 )
 
 #: A longer text is no key, and would cost the patterns the square of its length.
