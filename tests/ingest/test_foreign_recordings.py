@@ -62,7 +62,7 @@ GRAMMARS: dict[str, tuple[str, Callable[[int, Row], str]]] = {
         lambda _, r: f"{1.7e9 + r[0]:.3f},0.4,0.1,{0.3 - r[1] / 1e3:.7f},0.02,0.01,{-r[2]:.4f}\n",
     ),
     "paths-of-messages": (
-        "__time,/arm/target_pose/position/z,/arm/pose/position/z,/ft/wrench/force/x,/ft/wrench/force/z\n",
+        "ts,/arm/target_pose/position/z,/arm/pose/position/z,/ft/wrench/force/x,/ft/wrench/force/z\n",
         lambda _, r: f"{1.7e9 + r[0]:.3f},{300.2 - r[1]:.4f},{300.0 - r[1]:.4f},0.01,{-r[2]:.4f}\n",
     ),
     "set-beside-measured": (

@@ -38,7 +38,7 @@ _NAMES: dict[Channel, dict[int, str]] = {
         ),
         1: (  # elapsed time of a cycle or step, which starts again; a time stamp; LabVIEW's X_Value
             r"(?:cycle |step |segment )?elapsed(?: time)?|time elapsed|(?:cycle|step|segment) time"
-            r"|temps ecoule|経過時間|時刻|time ?stamp|epoch|unix time|date ?time|zeitstempel|uhrzeit"
+            r"|temps ecoule|経過時間|時刻|time ?stamp|ts|epoch|unix time|date ?time|zeitstempel|uhrzeit"
             r"|x value|tiempo transcurrido"
         ),
     },
