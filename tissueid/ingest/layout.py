@@ -215,9 +215,7 @@ _LONGEST_WORD = 12
 #: Longer cells are prose, be there words of columns in it or not.
 _LONGEST_NAME = 80
 #: What a program writes before a line of words that is no data of its own, and before names in one.
-_COMMENT_MARK = re.compile(
-    r"(?i)\A\s*(?:#+|%+|//+)\s*(?:(?:columns?|fields?|format|names)\s*[:=]\s*)?(?=[^\W\d_]|[(\[])"
-)
+_COMMENT_MARK = re.compile(r"(?i)\A\s*(?:[#%]+|//+)\s*(?:(?:column|field|format)s? *: *)?(?=[^\W\d_]|[(\[])")
 #: A tail of nothing but numbers holds no results.
 _ONLY_NUMBERS = re.compile(rb"[-+\d.,;:'\t\r\n\"eE \xa0]*")
 
@@ -479,9 +477,7 @@ def _refuse_volts(lines: Sequence[str], place: Place) -> None:
     """Refuse what a data logger says that it wrote in volts."""
     volts = next((k for k, line in enumerate(lines[:_HEAD_LINES]) if _IN_VOLTS.match(line)), None)
     if volts is not None:
-        message = (
-            f"{lines[volts].strip()!r}: volts are no travel and no force; export them in calibrated units"
-        )
+        message = f"{lines[volts].strip()!r}: volts are no travel, no force; export in calibrated units"
         place.refuse("wrong_unit", message, line=volts + 1)
 
 
