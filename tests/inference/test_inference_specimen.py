@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from inference_cases import by_name, draw, handle_for, handles_of, identified, small_recipe, state_of
 
-from tissueid.inference.estimates import LEVEL_95, MAX_WIDTH, estimate_tissue, profile
+from tissueid.inference.estimates import LEVEL_95, MAX_WIDTH, estimate_tissue, profile, theta_covariance
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.synth import Branch, Hold, Log, Move
@@ -126,6 +126,16 @@ def test_values_come_in_natural_units(pooling):
         assert found[name].identified
         assert found[name].value == pytest.approx(value, rel=0.05)
         assert abs(found[name].value - value) <= 6.0 * found[name].stderr
+
+
+def test_a_bound_that_data_do_not_press_against_narrows_no_standard_error():
+    ours = identified(handles_of(small_recipe(branches=(GROWING,)), 0), branches=(1,), degrees=(1,))
+    touched = replace(ours.optimum, active=np.ones_like(ours.optimum.active))
+    covariance = theta_covariance(replace(ours, optimum=touched))
+    np.testing.assert_allclose(covariance, theta_covariance(ours), rtol=1e-9)
+    # and one that holds leaves no room across it
+    pressed = replace(touched, normal=replace(touched.normal, gradient=-1e6 * touched.prior.cone.sum(axis=0)))
+    assert np.linalg.matrix_rank(theta_covariance(replace(ours, optimum=pressed))) < len(covariance)
 
 
 @pytest.mark.system

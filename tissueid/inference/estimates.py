@@ -14,7 +14,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.engine import Identified, refit
-from tissueid.inference.optimum import Optimum, free_of
+from tissueid.inference.optimum import Optimum, covariance_of, free_of
 from tissueid.inference.prior import time_bounds
 from tissueid.model.base import ParameterSpec, branch_suffix
 from tissueid.model.channels import ChannelModel, DampedModel
@@ -176,8 +176,7 @@ def _estimate(spec: ParameterSpec, number: float, stderr: float, verdict: tuple[
 
 def _verdict_of(estimate: float, stderr: float) -> tuple[bool, float]:
     """Test if the 95 % interval of a logarithm is narrow enough, with its width."""
-    width = width_of(estimate, stderr)
-    return width <= MAX_WIDTH, width
+    return (width := width_of(estimate, stderr)) <= MAX_WIDTH, width
 
 
 class _Fitted(NamedTuple):
@@ -319,12 +318,15 @@ def slow_share(identified: Identified) -> float:
 
 
 def theta_covariance(identified: Identified) -> FloatArray:
-    """Covariance of theta, machine held, (p, p); rows of what active bounds hold are zero."""
+    """Covariance of theta, machine held, (p, p); rows of what bounds hold against the data are zero."""
     optimum, law, t = identified.optimum, identified.law, identified.law.times
     shared = np.concatenate([np.arange(t), np.arange(t + 3, t + 3 + law.linear)])
     prior, normal = optimum.prior, optimum.normal
     hessian = normal.hessian[np.ix_(shared, shared)]
-    free = free_of(prior.cone[optimum.active][:, shared])
+    walls = prior.cone[optimum.active][:, shared]
+    # a wall against which data press by less than one standard deviation holds nothing
+    pressure = np.linalg.lstsq(walls.T, -normal.gradient[shared], rcond=None)[0]
+    free = free_of(walls[pressure**2 * np.diag(walls @ covariance_of(hessian) @ walls.T) > 1.0])
     inner = free.T @ hessian @ free
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     values, vectors = np.linalg.eigh(inner / scale / scale[:, None])
