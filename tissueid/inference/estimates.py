@@ -324,9 +324,9 @@ def theta_covariance(identified: Identified) -> FloatArray:
     prior, normal = optimum.prior, optimum.normal
     hessian = normal.hessian[np.ix_(shared, shared)]
     walls = prior.cone[optimum.active][:, shared]
-    # a wall against which data press by less than one standard deviation holds nothing
+    # a wall against which data press by less than two standard deviations holds nothing
     pressure = np.linalg.lstsq(walls.T, -normal.gradient[shared], rcond=None)[0]
-    free = free_of(walls[pressure**2 * np.diag(walls @ covariance_of(hessian) @ walls.T) > 1.0])
+    free = free_of(walls[pressure**2 * np.diag(walls @ covariance_of(hessian) @ walls.T) > 4.0])
     inner = free.T @ hessian @ free
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     values, vectors = np.linalg.eigh(inner / scale / scale[:, None])
