@@ -250,7 +250,12 @@ def test_clocks_without_hours_and_with_milliseconds_behind_a_colon(tmp_path, nam
     trial = read_text(tmp_path / "a.csv", text)
     assert trial.time_s - trial.time_s[0] == pytest.approx(TIME, abs=1e-9)
     assert trial.force_N == pytest.approx(FORCE, abs=1e-4)
-    assert [flag.code for flag in trial.flags] == ["units_assumed"]
+    assert trial.flags == ()  # the unit of a clock is its own
+    # but not of another column
+    head, *rows = text.replace(name, f"t{delimiter}Uhr", 1).splitlines(keepends=True)
+    counted = (f"{0.01 * k:.2f}{delimiter}".replace(".", mark) + row for k, row in enumerate(rows))
+    other = read_text(tmp_path / "b.csv", head + "".join(counted))
+    assert [flag.code for flag in other.flags][:1] == ["units_assumed"]
 
 
 def test_whole_numbers_behind_a_clock_among_commas_are_no_fraction_of_it(tmp_path: Path) -> None:

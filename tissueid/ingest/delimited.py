@@ -195,6 +195,11 @@ def read_table(
 ) -> Table:
     """One laid-out table: its columns chosen, its rows read."""
     choice, columns, flags = _continuous(text, layout, options, place)
+    clock = -1 if text.before_clock is None else text.before_clock.count(layout.delimiter.encode())
+    if choice.index.get("time") == clock:
+        # the unit of a clock time is its own
+        known = [one for one in choice.flags if (one.code, one.values.get("quantity")) != _TIME_ASSUMED]
+        choice = replace(choice, flags=tuple(known))
     return Table(
         *columns,
         choice.names,
@@ -239,6 +244,9 @@ def _continuous(
         values = {"quantity": "displacement", "taken": name, "alternatives": [counter]}
         flags = [*flags, Flag("column_choice", words, values)]
     return choice, columns, flags
+
+
+_TIME_ASSUMED = ("units_assumed", "time")
 
 
 def _choice(layout: Layout, options: ReadOptions, place: Place) -> ColumnChoice:

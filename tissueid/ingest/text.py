@@ -239,6 +239,7 @@ class Text:
     flags: tuple[Flag, ...] = ()
     names: tuple[str, ...] = ()  # that every row repeats, and units: taken out of ``data``
     units: tuple[str, ...] = ()
+    before_clock: bytes | None = None  # what stands in a row before the clock time that became seconds
 
     def decode(self, line: bytes) -> str:
         """One line or the head as text; what can't be decoded is shown as such."""
@@ -424,12 +425,21 @@ def _plain(text: Text, place: Place) -> Text:
         data = _MONITORED.sub(lambda one: one[1] + (one[2] or b","), data)
     data = _one_measurement(_on_one_line(data))
     data, names, units = bare_rows(data, _head(data), place)
-    data = with_seconds(by_spaces(data))
+    spaced = by_spaces(data)
+    data = with_seconds(spaced)
     if data is text.data:
         return text
     return replace(
-        text, data=data, names=tuple(map(text.decode, names)), units=tuple(map(text.decode, units))
-    )
+        text, data=data, names=tuple(map(text.decode, names)), units=tuple(map(text.decode, units)),
+        before_clock=None if data is spaced else _before_clock(spaced),
+    )  # fmt: skip
+
+
+def _before_clock(data: bytes) -> bytes | None:
+    """Cells before the clock time of the first row; ``None`` where 10:30 may be hours and minutes."""
+    line = _clocked_rows(data)[1][0]
+    clock = _clock_in(line).search(line)
+    return line[: clock.start()] if clock is not None and (clock[1] or clock[4]) else None
 
 
 def _on_one_line(data: bytes) -> bytes:
