@@ -6,6 +6,8 @@ import resource
 import signal
 import subprocess
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -191,6 +193,24 @@ def test_only_the_simulated_device_begins_uncompiled(monkeypatch: pytest.MonkeyP
     with first_start("sim", said.append) as uncompiled:
         assert not uncompiled
     assert said == []
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize("uncompiled", [True, False])
+def test_a_busy_machine_ends_no_first_start(
+    bundle: Path, monkeypatch: pytest.MonkeyPatch, uncompiled: bool
+) -> None:
+    @contextmanager
+    def begun(_device: str, _tell: Callable[[str], None]) -> Iterator[bool]:
+        with monkeypatch.context() as here:
+            here.setenv("NUMBA_DISABLE_JIT", str(int(uncompiled)))
+            yield uncompiled
+
+    monkeypatch.setattr("tissueid.rendering.session.first_start", begun)
+    waits = [0.7]
+    plan = plan_session(options(bundle, virtual=False, seconds=2.0))
+    outcome = Session(plan, show=lambda *_: time.sleep(waits.pop() if waits else 0.0)).run()
+    assert outcome.fault is (Fault.NONE if uncompiled else Fault.HEARTBEAT)
 
 
 @pytest.mark.slow

@@ -114,9 +114,11 @@ class Session:
 
     def _live(self, *, uncompiled: bool) -> Outcome:
         plan = self.plan
+        # beside a compiler and a browser an owner waits longer than its signs of life may, and no motor moves
         servo_plan = ServoPlan(
-            plan.device, dict(plan.device_options), law=plan.environment, shared_hand=plan.led
-        )
+            plan.device, dict(plan.device_options), law=plan.environment,
+            alive_wanted=not uncompiled, shared_hand=plan.led,
+        )  # fmt: skip
         patience = {"start_timeout_s": HOMING_TIMEOUT_S} if plan.capabilities.hardware else {}
         if uncompiled and self._spawned is not None:
             # whether a process compiles is settled when it starts: this one would
