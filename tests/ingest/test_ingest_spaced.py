@@ -256,6 +256,8 @@ def test_clocks_without_hours_and_with_milliseconds_behind_a_colon(tmp_path, nam
     counted = (f"{0.01 * k:.2f}{delimiter}".replace(".", mark) + row for k, row in enumerate(rows))
     other = read_text(tmp_path / "b.csv", head + "".join(counted))
     assert [flag.code for flag in other.flags][:1] == ["units_assumed"]
+    # nor are its seconds the minutes of a name
+    assert refusal(put(tmp_path / "c.csv", text.replace(name, "Time (min)", 1))).code == "unit_conflict"
 
 
 def test_whole_numbers_behind_a_clock_among_commas_are_no_fraction_of_it(tmp_path: Path) -> None:

@@ -341,9 +341,18 @@ def _asked(head: _Head, channel: Channel) -> float | None:
 
 
 def choose_columns(
-    names: Sequence[str], units: Sequence[str], *, options: ReadOptions, place: Place, line: int | None
+    names: Sequence[str],
+    units: Sequence[str],
+    *,
+    options: ReadOptions,
+    place: Place,
+    line: int | None,
+    clock: int | None = None,
 ) -> ColumnChoice:
-    """Find the three channels among the printed names; without a time, where the user states a rate."""
+    """Find the three channels among the printed names; without a time, where the user states a rate.
+
+    ``clock``: column of clock times as seconds: their unit is their own.
+    """
     head = _Head.of(names, units, options)
     taken: dict[Channel, _Column] = {}
     flags: list[Flag] = []
@@ -359,6 +368,8 @@ def choose_columns(
         part = _below_second(head, found[0][1]) if channel == "time" else None
         further = [column.name for _, column in found[1:] if part is None or column.index != part[0]]
         flags += _choice_flag(channel, found[0][1], further + head.ruled_out(channel, found))
+    if "time" in taken and taken["time"].index == clock:
+        taken["time"] = replace(taken["time"], units=("s", *taken["time"].units))
     indices = {channel: column.index for channel, column in taken.items()}
     printed = {channel: column.shown for channel, column in taken.items()}
     factors = {

@@ -195,11 +195,6 @@ def read_table(
 ) -> Table:
     """One laid-out table: its columns chosen, its rows read."""
     choice, columns, flags = _continuous(text, layout, options, place)
-    clock = -1 if text.before_clock is None else text.before_clock.count(layout.delimiter.encode())
-    if choice.index.get("time") == clock:
-        # the unit of a clock time is its own
-        known = [one for one in choice.flags if (one.code, one.values.get("quantity")) != _TIME_ASSUMED]
-        choice = replace(choice, flags=tuple(known))
     return Table(
         *columns,
         choice.names,
@@ -246,9 +241,6 @@ def _continuous(
     return choice, columns, flags
 
 
-_TIME_ASSUMED = ("units_assumed", "time")
-
-
 def _choice(layout: Layout, options: ReadOptions, place: Place) -> ColumnChoice:
     if len(layout.names) > layout.n_columns:
         message = (
@@ -256,7 +248,12 @@ def _choice(layout: Layout, options: ReadOptions, place: Place) -> ColumnChoice:
         )
         place.refuse("ragged_rows", message, line=layout.first_line, column=layout.n_columns + 1)
     return choose_columns(
-        layout.names, layout.units, options=options, place=place, line=layout.names_line or layout.first_line
+        layout.names,
+        layout.units,
+        options=options,
+        place=place,
+        line=layout.names_line or layout.first_line,
+        clock=layout.clock,
     )
 
 

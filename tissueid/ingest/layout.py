@@ -251,6 +251,7 @@ class Layout:
     n_columns: int
     numeric: tuple[bool, ...]  # which columns hold numbers in the sample
     stop: int | None = None  # byte at which a table of results begins below the rows, ``None`` without one
+    clock: int | None = None  # column of clock times, which are seconds by now
     remarked: bool = False  # whether a row may end in a remark, under a name for it that most rows leave out
 
 
@@ -440,8 +441,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     _refuse_counts(lines, sample, channel_columns(names, options).get("force"), options, place)
     n_columns = Counter(map(len, sample)).most_common(1)[0][0]
     names, units = between_names(names, units, n_columns)
-    if any(text.names):
-        names = tuple(one or own for one, own in zip_longest(names, text.names, fillvalue=""))
+    names = tuple(one or own for one, own in zip_longest(names, text.names, fillvalue=""))
     cells = (split_line(text.decode(line), delimiter) for line in io.BytesIO(text.data))
     beside = text.units or units_beside(names if any(names) else sample[0], cells, place)
     units = with_units(names, units, beside, place)
@@ -459,10 +459,10 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
         n_columns,
         numeric_columns(sample, n_columns),
         remarked=n_columns < len(names) and is_comment_name(names[n_columns]),
+        clock=text.clock_column(delimiter),
     )
-    if results is not None:
-        return replace(layout, stop=sum(map(len, raw[: found.first + results])))
-    return replace(layout, stop=_stop_in_tail(text, layout, options))
+    end = None if results is None else sum(map(len, raw[: found.first + results]))
+    return replace(layout, stop=_stop_in_tail(text, layout, options) if end is None else end)
 
 
 def numeric_columns(sample: Sequence[Row], n_columns: int) -> tuple[bool, ...]:

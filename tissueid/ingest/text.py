@@ -245,6 +245,10 @@ class Text:
         """One line or the head as text; what can't be decoded is shown as such."""
         return line.decode(self.codec, errors="replace")
 
+    def clock_column(self, delimiter: str) -> int | None:
+        """Column, counted from 0, of clock times that became seconds."""
+        return None if self.before_clock is None else self.before_clock.count(delimiter.encode())
+
 
 def foreign_kind(head: bytes) -> str | None:
     """Kind of a file that is no text table: ``"a PNG image"``; ``None`` where it may be one."""
