@@ -71,6 +71,35 @@ def test_names_stand_behind_the_row_numbers_of_r(tmp_path: Path, names: str) -> 
     assert (trial.time_s[2], trial.displacement_mm[2], trial.force_N[2]) == pytest.approx((0.2, 0.04, 1.0))
 
 
+@pytest.mark.parametrize(
+    ("head", "row"),
+    [
+        ("No,Time (s),Depth (mm),Force (N),", "{0},{1},{2},{3},"),  # a mark at the end of each line
+        ("Nr;Zeit [s];Weg [mm];Kraft [N];", "{0};{1};{2};{3};"),
+        ("time_s,depth_mm,force_N", "{0},{1},{2},{3},"),  # behind the row numbers of R
+        (",Time (s),Depth (mm),Force (N),Comment", "{0},{1},{2},{3},"),  # behind those of pandas
+        ("No Time Depth Force\n- (s) (mm) (N)\n", "{0} {1} {2} {3}"),  # a blank line under the units
+        ("#  Time_s  Depth_mm  Force_N", "{0}  {1}  {2}  {3}"),  # a # that is a name
+        ('"No", "Time (s)", "Depth (mm)", "Force (N)"', '"{0}", "{1}", "{2}", "{3}"'),
+        (' "No"; "Time (s)"; "Depth (mm)"; "Force (N)"; "Comment"', ' "{0}"; "{1}"; "{2}"; "{3}"; ""'),
+        ("Sample rate=10\nTime;Depth;Force\ns;mm;N\n", "{1};{2};{3}"),
+        ("Idő;Extensie;Force Z", "{1};{2};{3}"),
+        ("Run Time;Actuator Displacement;Actuator Force (N)", "{1};{2};{3}"),
+    ],
+)
+def test_tables_that_say_the_same_are_read_alike(tmp_path: Path, head: str, row: str) -> None:
+    cells = ((k + 1, f"{0.1 * k:.1f}", f"{0.02 * k:.2f}", f"{0.5 * k:.1f}") for k in range(40))
+    trial = read(put(tmp_path / "a.txt", head + "\n" + "".join(row.format(*one) + "\n" for one in cells)))
+    assert set(codes(trial)) <= {"units_assumed"}
+    assert (trial.time_s[2], trial.displacement_mm[2], trial.force_N[2]) == pytest.approx((0.2, 0.04, 1.0))
+
+
+def test_a_unit_behind_a_stroke_tells_the_code_page(tmp_path: Path) -> None:
+    lines = "".join(f"{20.0 * k:.1f}; {0.1 * k:.1f}; {0.5 * k:.1f}\n" for k in range(40))
+    file = put(tmp_path / "a.csv", f"Displacement / µm; Time / s; Load / N\n{lines}", "cp1252")
+    assert read(file).displacement_mm[2] == pytest.approx(0.04)
+
+
 def test_a_name_that_matlab_numbers_is_another_column_of_that_name(tmp_path: Path) -> None:
     lines = "".join(f"{0.1 * k:.1f},{0.5 * k:.1f},{0.02 * k:.2f},{k}.5\n" for k in range(40))
     trial = read(put(tmp_path / "a.csv", f"Time_s_,Force_N_,Displacement_mm_,Force_N__1\n{lines}"))

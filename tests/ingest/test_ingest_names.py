@@ -297,11 +297,13 @@ def test_numbers_under_comments_are_asked_about(tmp_path: Path, name: str) -> No
 
 
 def test_a_column_of_numbers_without_a_name_is_asked_about_where_the_head_has_comments(tmp_path) -> None:
-    rows = "".join(line + ",\n" for line in SHIFTED.splitlines())
-    error = refusal(written(tmp_path / "a.csv", ",Time,Extension,Load,Comment", rows))
+    rows = "".join(f"{line},\n" for line in SHIFTED.splitlines())
+    halves = "".join(f"{0.5 * k},{line.partition(',')[2]}\n" for k, line in enumerate(rows.splitlines()))
+    error = refusal(written(tmp_path / "a.csv", ",Time,Extension,Load,Comment", halves))
     assert (error.code, error.column) == ("ragged_rows", 1)
     # the row numbers that other programs write have no name either
     read(written(tmp_path / "b.csv", ",Time,Extension,Load", SHIFTED))
+    read(written(tmp_path / "b.csv", ",Time,Extension,Load,Comment", rows))
     # and comments may be comments
     said = "".join(f"{line},{'slow' if k == 3 else ''}\n" for k, line in enumerate(ROWS.splitlines()))
     read(written(tmp_path / "c.csv", "Time,Extension,Load,Comment", said))

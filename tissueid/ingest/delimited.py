@@ -101,7 +101,7 @@ def read_delimited(file: InputFile) -> Iterator[Table | InputError]:
     lines = [split_line(text.decode(line), layout.delimiter) for line in top]
     names = layout.names_line or 0
     if names and len(file.options.columns) < len(CHANNELS):
-        _refuse_unnamed(layout, len(lines[names - 1]), place)
+        _refuse_unnamed(text, layout, len(lines[names - 1]), place)
     said = flag_head(lines[: names - 1] if names else (), place)
     left_out = [n for n, row in enumerate(lines, 1) if n > names > 0 and row_like(" ".join(row))]
     if left_out:
@@ -127,7 +127,8 @@ def _counted(
     stated = None if "time" in options.columns else stated_interval(metadata, layout.decimal)
     if stated is None:
         return layout, options
-    first = split_line(text.decode(text.data[layout.offset :].split(b"\n", 1)[0]), layout.delimiter)
+    row = text.data[layout.offset :].lstrip(b"\r\n").split(b"\n", 1)[0]
+    first = split_line(text.decode(row), layout.delimiter)
     cells = zip(layout.names, (*first, *[""] * layout.n_columns), strict=False)
     names = tuple(name if cell.strip() else "" for name, cell in cells)
     if has_time(names, layout.units, options) or _rises(text, layout, options):
@@ -157,16 +158,23 @@ def _rises(text: Text, layout: Layout, options: ReadOptions) -> bool:
 def _behind_row_names(text: Text, layout: Layout, options: ReadOptions) -> Layout:
     """The layout with names as R writes them, shifted or behind an X, where the first column counts rows."""
     names = layout.names
-    shifted = len(names) == layout.n_columns > 1 and all(names[:-1]) and not names[-1]
+    named = len(names) if all(names) else names.index("")
+    # a mark at the end of each line leaves an empty column, which is none of the shift
+    shifted = 1 < named < layout.n_columns and layout.numeric[named] and not any(names[named:])
     own = ("", *names[:-1]) if shifted else ("", *names[1:])
     counted = names[0] == "X" not in options.columns.values() and has_channels(own, layout.units, options)
-    bare = replace(layout, names=("",) * layout.n_columns, units=())
-    if not (shifted or counted) or layout.units_in_row or (0, True) not in _rising(text, bare, options):
+    if not (shifted or counted) or layout.units_in_row or not _counts_rows(text, layout):
         return layout
     return replace(layout, names=own)
 
 
-def _refuse_unnamed(layout: Layout, printed: int, place: Place) -> None:
+def _counts_rows(text: Text, layout: Layout) -> bool:
+    """True where the first column counts the rows, whatever its name."""
+    bare = replace(layout, names=("",) * layout.n_columns, units=())
+    return (0, True) in _rising(text, bare, ReadOptions())
+
+
+def _refuse_unnamed(text: Text, layout: Layout, printed: int, place: Place) -> None:
     """Refuse numbers that no name says what they are: shifted rows, or decimal commas among commas."""
     named = max((i for i, name in enumerate(layout.names, 1) if name.strip()), default=0)
     numbers = [i for i in range(layout.n_columns) if layout.numeric[i]]
@@ -182,7 +190,7 @@ def _refuse_unnamed(layout: Layout, printed: int, place: Place) -> None:
         )
         place.refuse("ragged_rows", message, line=layout.first_line, column=unnamed[0] + 1)
     asked = [i for i in numbers if i in comments or (comments and not layout.names[i].strip())]
-    if asked:
+    if asked and not (asked == [0] and _counts_rows(text, layout)):
         what = f"under {layout.names[asked[0]]!r}" if asked[0] in comments else "without a name"
         message = (
             f"column {asked[0] + 1} {what} holds numbers: are the names shifted against the rows? {way_out}"

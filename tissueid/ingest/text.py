@@ -70,7 +70,8 @@ def by_spaces(data: bytes) -> bytes:
     # a damaged row is named by its line once the others are cells
     if first is None or often < ALIKE * len(counts):
         return data
-    head = [_named(line, columns) if k >= first - 2 else line for k, line in enumerate(lines[:first])]
+    above = [k for k, line in enumerate(lines[:first]) if line.strip()][-2:]
+    head = [_named(line, columns) if k in above else line for k, line in enumerate(lines[:first])]
     offset = sum(len(line) + 1 for line in lines[:first])
     rest = _REMARK_LINE.sub(lambda remark: remark[0].translate(_NO_CELLS), data[offset:])
     body = re.sub(rb"(?m)^\t", b"", re.sub(rb" +", b"\t", rest))
@@ -87,12 +88,13 @@ def _head(data: bytes) -> list[bytes]:
 
 def _named(line: bytes, columns: int) -> bytes:
     """A line of names or units, parted by tabs where it has as many words as there are columns."""
-    plain = _REMARK.sub(b"", line.strip())
-    if len(plain) > LONGEST_NAMES:
+    printed = line.strip()
+    if len(printed) > LONGEST_NAMES:
         return line
-    for words in (re.split(rb"[ ]{2,}", plain), plain.split(), _NAME.findall(plain)):
-        if len(words) == columns:
-            return b"\t".join(words)
+    for plain in (_REMARK.sub(b"", printed), printed):  # a # may be the name of a column that counts
+        for words in (re.split(rb"[ ]{2,}", plain), plain.split(), _NAME.findall(plain)):
+            if len(words) == columns:
+                return b"\t".join(words)
     return line
 
 
@@ -218,6 +220,8 @@ _BROKEN_NAME = re.compile(
 )
 #: Fortran has a D in an exponent.
 _FORTRAN = re.compile(rb"(?<![\w.])([+-]?(?:\d+\.\d*|\.\d+))[dD]([+-]\d{1,3})(?![\w.])")
+#: Spaces between a mark that parts cells and the quote that opens the next.
+_QUOTE_APART = re.compile(rb'(?:(?<=[,;\t])|^)[ ]+(?="(?:[^"]|"[,;\t\r\n]))', re.MULTILINE)
 #: A minus sign that is no hyphen.
 _MINUS, _MINUS_SIGN = "\u2212".encode(), re.compile("\u2212(?=[0-9.,])".encode())
 
@@ -410,7 +414,7 @@ def _known_words(decoded: str) -> int:
     return sum(
         specimen_key_rank(piece) is not None
         or is_protocol_key(piece)
-        or _SIGNED_UNIT.fullmatch(piece.strip()) is not None
+        or any(map(_SIGNED_UNIT.fullmatch, piece.split()))
         or any(rank_of(piece, channel, loose=False) is not None for channel in CHANNELS)
         for piece in pieces
         if len(piece) <= 80
@@ -427,6 +431,8 @@ def _plain(text: Text, place: Place) -> Text:
         data = _FORTRAN.sub(rb"\1E\2", data)
     if _MONITORED.match(data):
         data = _MONITORED.sub(lambda one: one[1] + (one[2] or b","), data)
+    if _QUOTE_APART.search(data, 0, HEAD_BYTES):
+        data = _QUOTE_APART.sub(b"", data)
     data = _one_measurement(_on_one_line(data))
     data, names, units = bare_rows(data, _head(data), place)
     spaced = by_spaces(data)

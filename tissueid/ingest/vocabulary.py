@@ -29,12 +29,12 @@ _SENSE_AFTER = (
 _NAMES: dict[Channel, dict[int, str]] = {
     "time": {
         0: (  # the time of the test
-            r"(?:total |test |running |measured )?timer?(?: measurement)?|seconds?|secs?|ms|msecs?"
+            r"(?:total |test |running |run |measured )?timer?(?: measurement)?|seconds?|secs?|ms|msecs?"
             r"|millis(?:econds?)?|us|usecs?|micros(?:econds?)?|mins|minutes?|zeit|pruf ?zeit"
             r"|test ?zeit|versuchszeit|laufzeit|messzeit"
             r"|temps(?: d essai)?|temps total|duree|tiempo(?: de ensayo| total)?|tempo(?: di prova| (?:de"
             r"|do) ensaio| total)?|czas(?: testu| proby)?|godzina|(?:测试|试验|試験|測定|計測)?(?:时间|時間)"
-            r"|(?:test ?)?tijd|tid|cas|zaman|sure|время|време|시간|aika|timp|χρονοσ"
+            r"|(?:test ?)?tijd|tid|cas|zaman|sure|время|време|시간|aika|timp|ido|χρονοσ"
         ),
         1: (  # elapsed time of a cycle or step, which starts again; a time stamp; LabVIEW's X_Value
             r"(?:cycle |step |segment )?elapsed(?: time)?|time elapsed|(?:cycle|step|segment) time"
@@ -51,7 +51,7 @@ _NAMES: dict[Channel, dict[int, str]] = {
             r"|indring(?:diepte|ing)|intrangningsdjup|hloubka|derinlik|глубина(?: внедрения)?|глибина|깊이"
         ),
         1: (  # travel of the machine from its zero
-            r"(?:primary |axial )?(?:extension|displacement|travel|elongation)(?: measurement)?"
+            r"(?:primary |axial |actuator )?(?:extension|displacement|travel|elongation)(?: measurement)?"
             r"|standard travel|displ?|depl|distance|dist"
             r"|(?:(?:standard|axial|kolben|stempel|zylinder|maschinen|traversen|pruf) ?)?weg|hub"
             r"|verschiebung|verlangerung|verformung|course standard"
@@ -63,7 +63,7 @@ _NAMES: dict[Channel, dict[int, str]] = {
             r"|corsa|corsa standard|przemieszczenie|wydluzenie|droga"
             r"|(?:压头|轴向|横梁)?位移|伸长|伸長|伸び|延伸|拉伸|变形|変位量?|行程|ストローク|ｽﾄﾛｰｸ|ist ?weg"
             r"|verplaatsing|verlenging|forskjutning|forlangning|forskydning|forskyvning|forlengelse"
-            r"|vandring|siirtyma|elmozdulas|deplasare|draha|μετατοπιση|переміщення|преместване"
+            r"|vandring|siirtyma|elmozdulas|deplasare|extensie|draha|μετατοπιση|переміщення|преместване"
             r"|posun(?:uti)?|posuv|prodlouzeni|yer degistirme|uzama|deplasman"
             r"|перемещение(?: траверсы)?|смещение|удлинение|ход|변위|신장"
         ),
@@ -129,7 +129,7 @@ _LOOSE_SYMBOLS = {
 }
 #: Words that will do with a unit that agrees, and what will without a space; so will any name of these two.
 _LOOSE_WORDS: dict[Channel, tuple[str, str]] = {
-    "time": (r"time|timestamp|\w*zeit|temps|tiempo|tempo|czas|час|ido", "时间"),
+    "time": (r"time|timestamp|\w*zeit|temps|tiempo|tempo|czas|час", "时间"),
     # strain in other languages, and letters of an indenter: with a unit of length alone
     "displacement": (
         r"piston|p[xyz]|(?<=\w )[xy]|pd|deformation|deforma(?:zione|cion|cao|ce)|compression|деформация",
