@@ -81,6 +81,13 @@ def test_scatter_between_logs_is_taken_up_by_each_log(static):
         np.testing.assert_allclose(ours / ours.mean(), truth / truth.mean(), rtol=0.03)
 
 
+@pytest.mark.parametrize(("logs", "pooling"), [(3, "partial"), (5, "scaled")])
+def test_curves_and_times_of_a_log_are_its_own_where_a_speed_is_repeated(logs, pooling):
+    """Three ramps have a speed each; the holds behind them begin at one of these."""
+    small = small_recipe(branches=(TRUE,))
+    assert fit(replace(small, logs=small.logs[:logs]), static="auto").model.static_pooling == pooling
+
+
 def test_one_log_has_nothing_to_pool():
     found = fit(small_recipe(branches=(TRUE,), logs=small_recipe().logs[-1:]))
     assert found.model.static_pooling == "shared"

@@ -65,9 +65,10 @@ class _FitFlags(StudyFlags, OutputFlags):
     stiffness_degree: Literal["0", "1", "2", "auto"] = option(
         "Degree of the dynamic stiffness K(x); auto chooses by held-out data.", default="auto"
     )
-    static: Literal["scaled", "partial", "shared"] = option(
-        "Own of each log: a curve of depth and a factor of times, gain and contact, or contact.",
-        default="scaled",
+    static: Literal["auto", "scaled", "partial", "shared"] = option(
+        "Own of each log: a curve of depth and a factor of times (auto, where a speed is repeated), gain and"
+        " contact (auto, where none is), or contact.",
+        default="auto",
     )
     orders: Literal["study", "own"] = option(
         "Law and order of a study's specimens: the one that predicts best over all, or each its own.",

@@ -29,6 +29,7 @@ from tissueid.inference.choice import (
     describing,
     groups_of,
     held_out,
+    pooling_of,
     resolved,
     shown,
     speeds_of,
@@ -69,7 +70,7 @@ class Request:
     #: Orders of the Kelvin-Voigt law that are tried.
     branches: tuple[int, ...] = (1, 2, 3)
     degrees: tuple[int, ...] = (0, 1, 2)
-    pooling: str = "scaled"  # ``scaled``, ``partial`` or ``shared``
+    pooling: str = "auto"  # ``scaled``, ``partial``, ``shared``, or by the speeds
     noise: str = "auto"  # ``auto``, ``white``, ``ar1`` or ``white+ar1``
     priors: Priors = field(default_factory=Priors)
     machine: bool = True  # leave frame, skew and filter open
@@ -264,13 +265,14 @@ def identify_logs(
     """Choose and fit the law of a specimen; of ``facts`` the samples are not looked at."""
     depth = max(one.depth_mm for one in facts)
     step = min(one.step_s for one in facts)
-    several = len(logs) > 1
+    several, speed = len(logs) > 1, speeds_of(facts)
+    request = replace(request, pooling=pooling_of(request.pooling, speed))
     scaled = several and request.pooling == "scaled"
     effects = Effects(several and request.pooling != "shared", scaled, scaled)
     base = System(logs, kelvin_voigt_law(1, 0, depth), depth, effects)
     request = replace(request, priors=suited(request.priors, float(np.abs(base.force).max()), depth))
     least = LEAST_NOISE * float(np.ptp(base.force))
-    fitting = _Fitting(base, request, least, step, speeds_of(facts))
+    fitting = _Fitting(base, request, least, step, speed)
     most = max(b for b in request.branches if b <= 2 or b == min(request.branches))
     degree = max(request.degrees)
     flexible = (most, degree if effects.shape else min(1, degree))

@@ -55,9 +55,9 @@ class FitOptions:
     stiffness_degree : int or None
         0 to 2, or ``None`` to choose.
     static : str
-        ``scaled`` (default: static force and K of a log in proportion, by its own curve of depth, and
-        relaxation times by its own factor),
-        ``partial`` (a gain and a contact of its own) or ``shared`` (a contact of its own).
+        ``scaled`` (static force and K of a log in proportion, by its own curve of depth, and relaxation
+        times by its own factor), ``partial`` (a gain and a contact of its own), ``shared`` (a contact of
+        its own), or ``auto``: ``scaled`` where a speed was pushed at more than once, else ``partial``.
     depths_mm : tuple of float
         Depths below contact at which the stiffness of each loop is wanted.
     frequencies_Hz : tuple of float
@@ -79,7 +79,7 @@ class FitOptions:
 
     branches: int | None = None
     stiffness_degree: int | None = None
-    static: str = "scaled"
+    static: str = "auto"
     unloading: bool = False
     depths_mm: tuple[float, ...] = ()
     frequencies_Hz: tuple[float, ...] = ()
@@ -307,7 +307,7 @@ class _Found:
         found, speeds = self.identified, [one for log in self.facts for one in log.speeds_mm_s if one > 0.0]
         return SpecimenFit(
             specimen=self.specimen,
-            model=_choice_of(found, here, "shared" if len(self.handles) == 1 else self.options.static),
+            model=_choice_of(found, here, "shared" if len(self.handles) == 1 else found.request.pooling),
             parameters=here.parameters,
             theta_names=here.model.parameter_names,
             theta=here.theta,
