@@ -339,13 +339,14 @@ def recorded(folder: Path) -> Path:
         (("render", "--preset", "meat", "--viewer", "--virtual", "--device", "sim"), 2, "tissueid view FILE"),
         (("render", "--preset", "meat", "--viewer", "--host", "203.0.113.9"), 2, "--host"),
         (("render", "--viewer", "--certificate", "c.pem"), 2, "TLS needs two files"),
+        (("render", "--preset", "meat2", "--viewer", "--no-browser"), 2, "meat2"),
         (("render", "--device", "sim"), 2, ()),
         (("view", "no-such.h5"), 6, "no-such.h5"),
         (("view", "127.0.0.1:1"), 2, "nothing answers"),
     ],
 )
 def test_what_cannot_be_shown_or_felt_is_refused(args, code, said):
-    run(*args, code=code, said=said)
+    assert "http://" not in run(*args, code=code, said=said).stderr  # no page of a session that isn't
 
 
 def test_a_log_is_served_until_it_is_told_to_end(tmp_path):

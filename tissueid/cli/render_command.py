@@ -6,7 +6,7 @@ import select
 import sys
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, closing, nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ from tissueid.cli.completion_command import presets, scenes
 from tissueid.cli.devices_command import WayFlags, asked_device
 from tissueid.cli.flags import ABOVE_0, BUNDLE, argument, option, subcommand, typed
 from tissueid.cli.output import draw, echo, echo_json, note, progress_bar
-from tissueid.cli.view_command import ViewerFlags, served, telling_stop
+from tissueid.cli.view_command import ViewerFlags, announce, served, telling_stop
 from tissueid.errors import DeviceError, exit_code, refuse
 
 if TYPE_CHECKING:
@@ -158,8 +158,7 @@ def command(flags: RenderFlags) -> int:
     waiting = nullcontext() if flags.virtual else closing(spawn_servo())
     if flags.viewer and flags.virtual:
         refuse("--virtual is over before it is seen: add --log FILE, then `tissueid view FILE`")
-    shown: AbstractContextManager[ServedViewer | None] = served(flags) if flags.viewer else nullcontext()
-    with waiting as spawned, shown as viewer:
+    with waiting as spawned, served(flags) if flags.viewer else nullcontext() as viewer:
         session = _prepared(flags, spawned, viewer)
         try:
             outcome = session.run()
@@ -212,6 +211,8 @@ def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedVi
         note(line, quiet=flags.quiet)
     if flags.blind and flags.log is None:
         refuse("--blind is worth nothing without a record: add --log FILE")
+    if viewer is not None:
+        announce(viewer, flags)
     ask_for_consent(plan, given=flags.yes, quiet=flags.quiet)
     _write_key(flags, plan)
     bridge = None

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -75,6 +74,7 @@ def _play(flags: _ViewFlags, path: Path) -> int:
     beside = None if flags.beside is None else recording_beside(log, flags.beside)
     try:
         with served(flags) as viewer:
+            announce(viewer, flags)
             show_log(viewer, log, path, beside)
             note("Ctrl-C: end", quiet=flags.quiet)
             viewer.wait()
@@ -88,27 +88,30 @@ def _play(flags: _ViewFlags, path: Path) -> int:
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
-@contextmanager
-def served(flags: ViewerFlags) -> Iterator[ServedViewer]:
-    """A viewer that is served from now on; its address is printed."""
-    from tissueid.viewer.bundling import BUNDLE
+def served(flags: ViewerFlags) -> ServedViewer:
+    """A viewer that is served from now on."""
     from tissueid.viewer.serving import ServedViewer, ViewerOptions
 
-    options = ViewerOptions(flags.host, flags.viewer_port, flags.certificate, flags.certificate_key)
-    with ServedViewer(options) as viewer:
-        # what was asked for is told however quiet: nobody guesses a token
-        echo(f"viewer     {viewer.url}", err=True)
-        if viewer.access.token is not None and not viewer.access.tls:
-            note(
-                "the picture goes over the network unencrypted: --certificate and --certificate-key "
-                "encrypt it",
-                quiet=flags.quiet,
-            )
-        if not (BUNDLE / "index.html").is_file():
-            note("the viewer's page was not built here: `python -m tissueid.viewer.bundling` builds it")
-        elif not flags.no_browser:
-            open_browser(viewer.url)
-        yield viewer
+    return ServedViewer(
+        ViewerOptions(flags.host, flags.viewer_port, flags.certificate, flags.certificate_key)
+    )
+
+
+def announce(viewer: ServedViewer, flags: ViewerFlags) -> None:
+    """Print the address, and open it."""
+    from tissueid.viewer.bundling import BUNDLE
+
+    # what was asked for is told however quiet: nobody guesses a token
+    echo(f"viewer     {viewer.url}", err=True)
+    if viewer.access.token is not None and not viewer.access.tls:
+        note(
+            "the picture goes over the network unencrypted: --certificate and --certificate-key encrypt it",
+            quiet=flags.quiet,
+        )
+    if not (BUNDLE / "index.html").is_file():
+        note("the viewer's page was not built here: `python -m tissueid.viewer.bundling` builds it")
+    elif not flags.no_browser:
+        open_browser(viewer.url)
 
 
 def telling_stop(

@@ -53,7 +53,6 @@ class Lamp(IntFlag):
     DEAD_MAN = 128
     RAMPING = 256
     RUPTURED = 512
-    RECORDING_STOPPED = 1024
     LATE = 2048
     SILENT = 4096
     LATENCY = 8192
