@@ -77,11 +77,12 @@ def test_names_stand_behind_the_row_numbers_of_r(tmp_path: Path, names: str) -> 
         ("No,Time (s),Depth (mm),Force (N),", "{0},{1},{2},{3},"),  # a mark at the end of each line
         ("Nr;Zeit [s];Weg [mm];Kraft [N];", "{0};{1};{2};{3};"),
         ("time_s,depth_mm,force_N", "{0},{1},{2},{3},"),  # behind the row numbers of R
+        ("time_s;depth_mm;force_N;state", "{0};{1};{2};{3};run"),
         (",Time (s),Depth (mm),Force (N),Comment", "{0},{1},{2},{3},"),  # behind those of pandas
         ("No Time Depth Force\n- (s) (mm) (N)\n", "{0} {1} {2} {3}"),  # a blank line under the units
         ("#  Time_s  Depth_mm  Force_N", "{0}  {1}  {2}  {3}"),  # a # that is a name
         ('"No", "Time (s)", "Depth (mm)", "Force (N)"', '"{0}", "{1}", "{2}", "{3}"'),
-        (' "No"; "Time (s)"; "Depth (mm)"; "Force (N)"; "Comment"', ' "{0}"; "{1}"; "{2}"; "{3}"; ""'),
+        (' "No"; "Time (s)"; "Depth (mm)"; "Force (N)"; "Comment" ', ' "{0}"; "{1}"; "{2}" ; "{3}"; ""  '),
         ("Sample rate=10\nTime;Depth;Force\ns;mm;N\n", "{1};{2};{3}"),
         ("Idő;Extensie;Force Z", "{1};{2};{3}"),
         ("Run Time;Actuator Displacement;Actuator Force (N)", "{1};{2};{3}"),

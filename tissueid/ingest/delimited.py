@@ -25,7 +25,7 @@ from tissueid.ingest.columns import (
 )
 from tissueid.ingest.header import header_entries, protocol_of, specimen_in, stated_interval
 from tissueid.ingest.layout import Layout, split_line
-from tissueid.ingest.numbers import parse_number
+from tissueid.ingest.numbers import Row, parse_number
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
@@ -127,15 +127,19 @@ def _counted(
     stated = None if "time" in options.columns else stated_interval(metadata, layout.decimal)
     if stated is None:
         return layout, options
-    row = text.data[layout.offset :].lstrip(b"\r\n").split(b"\n", 1)[0]
-    first = split_line(text.decode(row), layout.delimiter)
-    cells = zip(layout.names, (*first, *[""] * layout.n_columns), strict=False)
+    cells = zip(layout.names, (*_first_row(text, layout), *[""] * layout.n_columns), strict=False)
     names = tuple(name if cell.strip() else "" for name, cell in cells)
     if has_time(names, layout.units, options) or _rises(text, layout, options):
         return layout, options
     return replace(layout, names=names), replace(
         options, columns={**options.columns, "time": f"{stated!r} s"}
     )
+
+
+def _first_row(text: Text, layout: Layout) -> Row:
+    """The cells of the first line with any."""
+    line = text.data[layout.offset :].lstrip(b"\r\n").split(b"\n", 1)[0]
+    return split_line(text.decode(line), layout.delimiter)
 
 
 def _rising(text: Text, layout: Layout, options: ReadOptions) -> Iterator[tuple[int, bool]]:
@@ -160,7 +164,8 @@ def _behind_row_names(text: Text, layout: Layout, options: ReadOptions) -> Layou
     names = layout.names
     named = len(names) if all(names) else names.index("")
     # a mark at the end of each line leaves an empty column, which is none of the shift
-    shifted = 1 < named < layout.n_columns and layout.numeric[named] and not any(names[named:])
+    last = _first_row(text, layout)[named : named + 1]
+    shifted = 1 < named < layout.n_columns and any(map(str.strip, last)) and not any(names[named:])
     own = ("", *names[:-1]) if shifted else ("", *names[1:])
     counted = names[0] == "X" not in options.columns.values() and has_channels(own, layout.units, options)
     if not (shifted or counted) or layout.units_in_row or not _counts_rows(text, layout):

@@ -220,8 +220,10 @@ _BROKEN_NAME = re.compile(
 )
 #: Fortran has a D in an exponent.
 _FORTRAN = re.compile(rb"(?<![\w.])([+-]?(?:\d+\.\d*|\.\d+))[dD]([+-]\d{1,3})(?![\w.])")
-#: Spaces between a mark that parts cells and the quote that opens the next.
-_QUOTE_APART = re.compile(rb'(?:(?<=[,;\t])|^)[ ]+(?="(?:[^"]|"[,;\t\r\n]))', re.MULTILINE)
+#: Spaces between the quotes of a cell and the marks that part it from others.
+_QUOTE_APART = re.compile(
+    rb'(?:(?<=[,;\t])|^)[ ]+(?="(?:[^"]|"[ ]*[,;\t\r\n]))|(?<=")[ ]+(?=[,;\t\r\n])', re.MULTILINE
+)
 #: A minus sign that is no hyphen.
 _MINUS, _MINUS_SIGN = "\u2212".encode(), re.compile("\u2212(?=[0-9.,])".encode())
 
