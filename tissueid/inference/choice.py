@@ -199,7 +199,7 @@ def speeds_of(facts: Sequence[FittedLog]) -> NDArray[np.int64]:
 
 
 def pooling_of(asked: str, speed: NDArray[np.int64]) -> str:
-    """Choose what ``auto`` leaves open: where no speed is repeated, shapes and times that differ are the law's."""
+    """Choose what ``auto`` leaves open: without a repeat of a speed, what differs is the law's."""
     repeated = np.unique(speed).size < speed.size
     return asked if asked != "auto" else "scaled" if repeated else "partial"
 
