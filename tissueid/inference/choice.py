@@ -198,12 +198,6 @@ def speeds_of(facts: Sequence[FittedLog]) -> NDArray[np.int64]:
     return _clusters(speeds) if min(speeds) > 0.0 else np.zeros(len(speeds), dtype=np.int64)
 
 
-def pooling_of(asked: str, speed: NDArray[np.int64]) -> str:
-    """Choose what ``auto`` leaves open: without a repeat of a speed, what differs is the law's."""
-    repeated = np.unique(speed).size < speed.size
-    return asked if asked != "auto" else "scaled" if repeated else "partial"
-
-
 def groups_of(system: System, facts: Sequence[FittedLog]) -> Groups:
     """Choose the groups to leave out of these logs."""
     if len(facts) == 1:

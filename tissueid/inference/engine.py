@@ -29,7 +29,6 @@ from tissueid.inference.choice import (
     describing,
     groups_of,
     held_out,
-    pooling_of,
     resolved,
     shown,
     speeds_of,
@@ -266,16 +265,17 @@ def identify_logs(
     depth = max(one.depth_mm for one in facts)
     step = min(one.step_s for one in facts)
     several, speed = len(logs) > 1, speeds_of(facts)
-    request = replace(request, pooling=pooling_of(request.pooling, speed))
+    if request.pooling == "auto":  # without a repeat of a speed, curves and times that differ are the law's
+        request = replace(
+            request, pooling="scaled" if np.unique(speed).size < max(len(logs), 2) else "partial"
+        )
     scaled = several and request.pooling == "scaled"
     effects = Effects(several and request.pooling != "shared", scaled, scaled)
     base = System(logs, kelvin_voigt_law(1, 0, depth), depth, effects)
     request = replace(request, priors=suited(request.priors, float(np.abs(base.force).max()), depth))
-    least = LEAST_NOISE * float(np.ptp(base.force))
-    fitting = _Fitting(base, request, least, step, speed)
+    fitting = _Fitting(base, request, LEAST_NOISE * float(np.ptp(base.force)), step, speed)
     most = max(b for b in request.branches if b <= 2 or b == min(request.branches))
-    degree = max(request.degrees)
-    flexible = (most, degree if effects.shape else min(1, degree))
+    flexible = (most, max(request.degrees) if effects.shape else min(1, max(request.degrees)))
     tick("how logs differ")
     fitting.learn_scatter(*flexible)
     groups = groups_of(base, facts)
