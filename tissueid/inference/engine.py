@@ -266,9 +266,8 @@ def identify_logs(
     step = min(one.step_s for one in facts)
     several, speed = len(logs) > 1, speeds_of(facts)
     if request.pooling == "auto":  # without a repeat of a speed, curves and times that differ are the law's
-        request = replace(
-            request, pooling="scaled" if np.unique(speed).size < max(len(logs), 2) else "partial"
-        )
+        repeated = np.unique(speed).size < max(len(logs), 2)
+        request = replace(request, pooling="scaled" if repeated else "partial")
     scaled = several and request.pooling == "scaled"
     effects = Effects(several and request.pooling != "shared", scaled, scaled)
     base = System(logs, kelvin_voigt_law(1, 0, depth), depth, effects)
@@ -278,8 +277,7 @@ def identify_logs(
     flexible = (most, max(request.degrees) if effects.shape else min(1, max(request.degrees)))
     tick("how logs differ")
     fitting.learn_scatter(*flexible)
-    groups = groups_of(base, facts)
-    memory = Memory()
+    groups, memory = groups_of(base, facts), Memory()
     tick("noise")
     if request.noise != "white":
         memory, _ = _noise(fitting, *fitting.candidate(fitting.law(*flexible), Memory()), evidence)
