@@ -95,6 +95,11 @@ def test_tables_that_say_the_same_are_read_alike(tmp_path: Path, head: str, row:
     assert (trial.time_s[2], trial.displacement_mm[2], trial.force_N[2]) == pytest.approx((0.2, 0.04, 1.0))
 
 
+def test_a_mark_of_remarks_names_no_column_that_does_not_count(tmp_path: Path) -> None:
+    rows = "".join(f"{0.1 * k:.1f} {0.02 * k:.2f} {0.5 * k:.1f} {k}.5\n" for k in range(40))
+    assert refusal(put(tmp_path / "a.txt", f"# time depth force\n{rows}")).code == "ragged_rows"
+
+
 def test_a_unit_behind_a_stroke_tells_the_code_page(tmp_path: Path) -> None:
     lines = "".join(f"{20.0 * k:.1f}; {0.1 * k:.1f}; {0.5 * k:.1f}\n" for k in range(40))
     file = put(tmp_path / "a.csv", f"Displacement / µm; Time / s; Load / N\n{lines}", "cp1252")

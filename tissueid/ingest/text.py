@@ -11,6 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NoReturn
 
 import charset_normalizer
@@ -71,7 +72,12 @@ def by_spaces(data: bytes) -> bytes:
     if first is None or often < ALIKE * len(counts):
         return data
     above = [k for k, line in enumerate(lines[:first]) if line.strip()][-2:]
-    head = [_named(line, columns) if k in above else line for k, line in enumerate(lines[:first])]
+    # a # is the name of a column that counts the rows, and else no name
+    begins = [
+        int(cell) if cell.isdigit() else -1 for cell in (lines[k].split()[0] for k in rows[:FEWEST_ROWS])
+    ]
+    counted = all(b == a + 1 for a, b in pairwise(begins))
+    head = [_named(line, columns, counted) if k in above else line for k, line in enumerate(lines[:first])]
     offset = sum(len(line) + 1 for line in lines[:first])
     rest = _REMARK_LINE.sub(lambda remark: remark[0].translate(_NO_CELLS), data[offset:])
     body = re.sub(rb"(?m)^\t", b"", re.sub(rb" +", b"\t", rest))
@@ -86,12 +92,12 @@ def _head(data: bytes) -> list[bytes]:
     return (lines[:-1] if len(data) > len(head) else lines)[:HEAD_LINES]
 
 
-def _named(line: bytes, columns: int) -> bytes:
+def _named(line: bytes, columns: int, counted: bool) -> bytes:
     """A line of names or units, parted by tabs where it has as many words as there are columns."""
     printed = line.strip()
     if len(printed) > LONGEST_NAMES:
         return line
-    for plain in (_REMARK.sub(b"", printed), printed):  # a # may be the name of a column that counts
+    for plain in (_REMARK.sub(b"", printed), *([printed] if counted else [])):
         for words in (re.split(rb"[ ]{2,}", plain), plain.split(), _NAME.findall(plain)):
             if len(words) == columns:
                 return b"\t".join(words)
