@@ -207,12 +207,12 @@ def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedVi
         if options.device in {"auto", "sim"}:
             raise
         raise _with_way_out(error, None) from error
-    for line in plan.lines:
-        note(line, quiet=flags.quiet)
     if flags.blind and flags.log is None:
         refuse("--blind is worth nothing without a record: add --log FILE")
     if viewer is not None:
         announce(viewer, flags)
+    for line in plan.lines:
+        note(line, quiet=flags.quiet)
     ask_for_consent(plan, given=flags.yes, quiet=flags.quiet)
     _write_key(flags, plan)
     bridge = None
